@@ -52,23 +52,23 @@ def rows(results: Sequence[CaseResult]) -> list[list[str]]:
 
 def summary(rows: list[docs_page.Row]) -> str:
     """Cases by group, and why some are not applicable."""
-    passed = sum(row["result"] == Verdict.PASSED for row in rows)
-    lines, reasons = [], Counter[str]()
+    lines, whole, reasons = [], [], Counter[str]()
     for group, members in groupby(rows, key=lambda row: row["group"]):
         found = list(members)
         out = [row for row in found if row["result"] != Verdict.PASSED]
         reasons.update(row["reason"] for row in out)
-        numbers = ", ".join(row["case"] for row in out) or "–"
-        lines.append((group, str(len(found)), str(len(found) - len(out)), numbers))
+        if out:
+            lines.append((group, str(len(found)), str(len(found) - len(out)), ", ".join(row["case"] for row in out)))
+        else:
+            whole.append(f"{group} ({len(found)})")
     return "\n".join(
         [
-            f"{len(rows)} cases: {passed} passed, {len(rows) - passed} not applicable.",
+            f"{len(rows)} cases: {len(rows) - reasons.total()} passed, {reasons.total()} not applicable. All passed in "
+            f"{', '.join(whole)}; in the other groups",
             "",
             docs_page.markdown(("group", "cases", "passed", "not applicable"), lines),
             "",
-            "Not applicable, because",
-            "",
-            *(f"- {reason} ({count})" for reason, count in reasons.most_common()),
+            f"because {'; '.join(f'{reason} ({count})' for reason, count in reasons.most_common())}.",
         ]
     )
 

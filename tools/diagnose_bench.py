@@ -66,11 +66,20 @@ def row(config: Path) -> list[str]:
 
 
 def summary(rows: list[docs_page.Row]) -> str:
-    """What was hidden, whether it was named, and the bias on the running bench."""
+    """How many were named, and the largest errors on the running bench before and after."""
     named = [row for row in rows if row["hidden"].split()[0] in row["found (95 %)"]]
-    columns = ("hidden", "simulated less true tension, N", "bias of E, %")
-    lines = [[row["hidden"], row[TENSION], row[BIAS]] for row in rows]
-    return f"Named: {len(named)} of {len(rows)}.\n\n{docs_page.markdown(columns, lines)}"
+    return (
+        f"Named: {len(named)} of {len(rows)}. Largest error of the simulated tension: {_largest(rows, TENSION)} N; "
+        f"largest bias of E, or of the inertia: {_largest(rows, BIAS)} %."
+    )
+
+
+def _largest(rows: list[docs_page.Row], column: str) -> str:
+    return " → ".join(max(values, key=lambda value: abs(float(value))) for values in _before_and_after(rows, column))
+
+
+def _before_and_after(rows: list[docs_page.Row], column: str) -> Iterator[tuple[str, ...]]:
+    yield from zip(*(row[column].split(" → ") for row in rows), strict=True)
 
 
 TENSION, BIAS = "simulated less true tension, N, or friction, N·m", "bias of E, or of the inertia, %"

@@ -1,7 +1,7 @@
 """How often the diagnosis is right on recordings that share no equation with it, made as stands make them.
 
     diagnose_independent.py [--what conditions,drawn,intervals] [--seeds N] [--first-seed N] [--interval-seeds N]
-                            [--jobs N] [--cases FILE] [--docs FILE]
+                            [--jobs N] [--cases FILE] [--write]
     diagnose_independent.py --what noises [--seeds N] [--first-seed N] [--jobs N] [--cases FILE]
 
 The machine is the independent line of the tests: web in pieces that move with it, presliding friction, quantized
@@ -12,7 +12,7 @@ and profiles, all at once, for single effects, pairs, nothing, and what the voca
 the names of drawn singles and pairs for known and looks at their intervals alone. `noises` records those of them again
 of which an interval did not hold, each with other noises: whether it was chance. Prints shares, the coverage of the
 intervals, and what was wrong. `--cases` keeps each finished case in a line of that file and takes those that are there
-as done; `--docs` writes the tables into the page.
+as done; `--write` writes it into docs/tables and the page.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """How often the diagnosis of a line of several spans is right, and at the right place, on equations not its own.
 
-    diagnose_lines.py [--what single,nothing] [--seeds N] [--first-seed N] [--jobs N] [--cases FILE] [--docs FILE]
+    diagnose_lines.py [--what single,nothing] [--seeds N] [--first-seed N] [--jobs N] [--cases FILE] [--write]
 
 The machine is the independent line of several spans of the tests: pieces of web that wander from span to span,
 presliding friction, quantized encoders. A seed draws a line of three spans, and hides in it each effect once, at
@@ -9,7 +9,7 @@ times a seed. Loops are the model's in a third of the cases, else off by up to 3
 come every 1 to 20 ms, with jitter; commands or speeds may be missing. Prints shares by effect, the coverage of the
 intervals, and what was wrong; counted by itself is where nothing is named and the diagnosis says that these data can't
 show the effect at its place in its size. `--cases` keeps each finished case in a line of that file and takes those that
-are there as done; `--docs` writes the table into the page.
+are there as done; `--write` writes it into docs/tables and the page.
 """
 
 from __future__ import annotations

@@ -166,15 +166,15 @@ def _said(found: Diagnosis) -> str:
 
 
 def summary(rows: list[docs_page.Row]) -> str:
-    """By rig: verdicts, the least and the most that is left, what is known; and what is wrong."""
+    """By rig: verdicts, the least and the most that is left; and what is wrong."""
     lines = []
     for rig in dict.fromkeys(row["rig"] for row in rows):
         of = [row for row in rows if row["rig"] == rig]
         verdicts = ", ".join(dict.fromkeys(row["verdict"] for row in of))
         left = sorted((row["left, %"] for row in of), key=float)
         between = left[0] if len(of) == 1 else f"{left[0]} to {left[-1]}"
-        lines.append((rig, str(len(of)), verdicts, between, of[0]["known"]))
-    table = docs_page.markdown(("rig", "recordings", "verdict", "left, %", "known"), lines)
+        lines.append((rig, str(len(of)), verdicts, between))
+    table = docs_page.markdown(("rig", "recordings", "verdict", "left, %"), lines)
     wrong = [f"- wrong: {row['rig']}, {row['recording']}: {row['wrong']}" for row in rows if row["wrong"]]
     return "\n".join([table, "", *wrong]).strip()
 

@@ -1,13 +1,13 @@
 """Whether the diagnosis names a step of Young's modulus on the bench's own recordings, and nothing else.
 
-    diagnose_steps.py [--every N] [--jobs N] [--cases FILE] [--docs FILE]
+    diagnose_steps.py [--every N] [--jobs N] [--cases FILE] [--write]
 
 Steps of 2 to 40 % up and down, at 0.5 to 8 m/s, forward and in reverse, held for 3 to 40 s before the line stops, and
 in the middle of a ramp of the speed, with four seeds; each on a bench inside this process (lockstep, simulated
 hardware), with the demonstrator's config. Right is: `elasticity_step` and nothing else, at the time and by the share
 that it was, to 30 ms and half a per cent, or within its interval. `--every` takes each N-th case; `--cases` keeps each
-finished case in a line of that file, and takes those that are there already as done; `--docs` writes the table into the
-page.
+finished case in a line of that file, and takes those that are there already as done; `--write` writes the table
+into docs/tables and the page.
 """
 
 from __future__ import annotations

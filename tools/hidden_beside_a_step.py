@@ -120,7 +120,7 @@ def inertia_table(first_seed: int, found: list[Accelerated]) -> str:
     lines = [
         f"Seeds {first_seed} to {first_seed + len(found) - 1}:",
         "",
-        "| run | told in | 95 % interval, median | holds in | largest error over deviation |",
+        "| run | separable in | 95 % interval, median | holds in | largest error over deviation |",
         "|---|--:|--:|--:|--:|",
     ]
     for profile in sorted({each.profile for each in found}):

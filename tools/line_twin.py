@@ -1,11 +1,11 @@
 """How well twin and controllers of the shipped line of three spans know and keep each span by itself.
 
-    line_twin.py [--seeds N] [--docs FILE]
+    line_twin.py [--seeds N] [--write]
 
 Each seed runs bench_configs/line_three_spans.yaml in this process at 2 m/s, with a step of E in each span, of all at
 once up and down, and a step of each set-point by 10 N. How far E of other spans moves is told twice: of what it was
 before the step, and of what it is at that time in a run of the same seed without the step, which has the same noise.
-Prints the worst of the seeds; `--docs` writes it into the page.
+Prints the worst of the seeds; `--write` writes it into docs/tables and the page.
 """
 
 from __future__ import annotations
@@ -91,14 +91,10 @@ def _for_good(after_s: Array, outside: NDArray[np.bool_]) -> float:
     return float(after_s[outside][-1]) if np.any(outside) else 0.0
 
 
-def table(seeds: int) -> str:
+def rows(seeds: int) -> list[list[str]]:
     """The worst of each step."""
     each = [run(seed) for seed in range(1, seeds + 1)]
-    rows = [
-        f"| worst of {seeds} seeds | E within 1 %, s | E of others moves, % | by the step, % | "
-        "all tensions within 1 N, s | other tensions off, N |",
-        "|---|--:|--:|--:|--:|--:|",
-    ]
+    lines = []
     for number, (name, _, _, meant) in enumerate(STEPS):
         cells = [f"{value:.2g}" for value in np.max([figures(found, number) for found in each], axis=0)]
         if meant == SPANS:
@@ -107,20 +103,29 @@ def table(seeds: int) -> str:
             pairs = [(found, run(seed, number)) for seed, found in enumerate(each, 1)]
             by_it = f"{max(moved_by(found, without, number) for found, without in pairs):.2g}"
         cells.insert(2, by_it)
-        rows.append(f"| {name} | {' | '.join(cells)} |")
-    return "\n".join(rows)
+        lines.append([name, *cells])
+    return lines
+
+
+SHOWN = ("worst of each step", "E within 1 %, s", "all tensions within 1 N, s", "other tensions off, N")
+TABLE = docs_page.Table(
+    "line_twin",
+    "lines.md",
+    (*SHOWN[:2], "E of others moves, %", "by the step, %", *SHOWN[2:]),
+    lambda rows: docs_page.markdown(SHOWN, [[row[title] for title in SHOWN] for row in rows]),
+)
 
 
 def main() -> None:
     """Run, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--docs", type=Path, help="page that gets the table")
+    parser.add_argument("--write", action="store_true", help=f"write {TABLE.file.name} and docs/{TABLE.page}")
     options = parser.parse_args()
-    found = table(options.seeds)
-    print(found)
-    if options.docs is not None:
-        docs_page.put(options.docs, "twin", found)
+    found = rows(options.seeds)
+    print(docs_page.markdown(TABLE.columns, found))
+    if options.write:
+        TABLE.write(found)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,6 @@ import yaml
 from soak import Held, Series
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "performance.md"
 #: Configs, the quantity that moves the machine, and how fast it goes.
 MACHINES = {
     "web_section_step": ("line_speed_m_s", 3.0),
@@ -90,12 +89,12 @@ class LongRun:
             kind = path.name.partition(".")[0]
             self.files_MB[kind] = self.files_MB.get(kind, 0.0) + path.stat().st_size / 1e6
 
-    def line(self) -> str:
+    def cells(self) -> list[str]:
         """A row of the table."""
         held = ["{} → {}".format(*self.series.before_and_after(each)) for each in ("memory_kB", "handles", "threads")]
         files = [f"{self.files_MB.get(each, 0.0):.0f}" for each in ("recording", "trace")]
         report = f"{self.files_MB.get('report', 0.0):.1f}"
-        return f"| {self.name} | {self.speed:.0f} × | {' | '.join([*held, *files, report])} |"
+        return [self.name, f"{self.speed:.0f} ×", *held, *files, report]
 
 
 def _size(path: Path) -> int:
@@ -105,6 +104,15 @@ def _size(path: Path) -> int:
         return 0
 
 
+SHOWN = ("machine", "speed", "memory, kB", "recording, MB", "trace, MB")
+TABLE = docs_page.Table(
+    "long_runs",
+    "performance.md",
+    ("machine", "speed", "memory, kB", "file handles", "threads", "recording, MB", "trace, MB", "report, MB"),
+    lambda rows: docs_page.markdown(SHOWN, [[row[title] for title in SHOWN] for row in rows]),
+)
+
+
 def main() -> int:
     """Run, print, and put the table into the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -112,24 +120,21 @@ def main() -> int:
     parser.add_argument("--only", choices=sorted(MACHINES), help="one of the machines")
     parser.add_argument("--write", action="store_true", help="write the table into docs/performance.md")
     options = parser.parse_args()
-    head = [
-        "| machine | speed | memory, kB | file handles | threads | recording, MB | trace, MB | report, MB |",
-        "|---|--:|---|---|---|--:|--:|--:|",
-    ]
-    lines, problems = [], []
+    rows, problems = [], []
     for name in [options.only] if options.only else MACHINES:
         run = LongRun(name, options.hours)
         with tempfile.TemporaryDirectory(prefix="long-run-") as folder:
             run.run(Path(folder))
         problems += [run.problem] if run.problem else run.series.grew(_ALLOWED_KB)
         if not run.problem:
-            lines.append(run.line())
-            print(lines[-1], file=sys.stderr, flush=True)
+            rows.append(run.cells())
+            print(*rows[-1], sep=" | ", file=sys.stderr, flush=True)
     last = "; ".join(problems) or f"Nothing grew, but for memory by up to {_ALLOWED_KB} kB."
-    text = "\n".join([f"{options.hours:g} h of each.", "", *head, *lines, "", last])
-    print(text)
+    text = f"{options.hours:g} h of each. {last}"
+    print(text, docs_page.markdown(TABLE.columns, rows), sep="\n\n")
     if options.write:
-        docs_page.put(PAGE, "long runs", text)
+        docs_page.put(docs_page.DOCS / TABLE.page, "long runs", text)
+        TABLE.write(rows)
     return 1 if problems else 0
 
 

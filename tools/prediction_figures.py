@@ -97,14 +97,14 @@ def errors(recording: Recording, outlooks: Sequence[Outlook]) -> list[list[str]]
 
 
 def summary(rows: list[docs_page.Row]) -> str:
-    """By quantity: the errors at each lead, and the least share that the band held."""
+    """By quantity: the largest error, its lead, and the least share that the band held."""
     lines = []
-    leads = list(dict.fromkeys(row["lead"] for row in rows))
     for quantity in dict.fromkeys(row["quantity"] for row in rows):
         of = [row for row in rows if row["quantity"] == quantity]
+        worst = max(of, key=lambda row: float(row[OFF].split()[0]))
         held = min((row[HELD] for row in of), key=lambda share: float(share.split()[0]))
-        lines.append([quantity, *(row[OFF] for row in of), held])
-    return docs_page.markdown(["median off by, rms", *(f"{lead} ahead" for lead in leads), "band held, least"], lines)
+        lines.append([quantity, f"{worst[OFF]} ({worst['lead']} ahead)", held])
+    return docs_page.markdown(["quantity", "median off by at most, rms", "band of 90 % held, least"], lines)
 
 
 OFF, HELD = "median off by, rms", "band of 90 % held"

@@ -441,13 +441,14 @@ def table() -> list[list[str]]:
 
 
 def summary(rows: list[docs_page.Row]) -> str:
-    """Those of which the papers have a figure."""
-    shown, name = [], ""
-    for row in rows:
-        if row["published, %"] != "–":
-            shown.append(["" if row["line"] == name else row["line"], *list(row.values())[1:]])
-            name = row["line"]
-    return docs_page.markdown(TABLE.columns, shown)
+    """Lines by their rows of which the papers have a figure."""
+    known = [row for row in rows if row["published, %"] != "–"]
+    lines = []
+    for line in dict.fromkeys(row["line"] for row in known):
+        of = [row for row in known if row["line"] == line]
+        pairs = dict.fromkeys((row["published, %"], row["here, %"]) for row in of)
+        lines.append([line, *("; ".join(values) for values in zip(*pairs, strict=True))])
+    return docs_page.markdown(("line", "published, %", "here, %"), lines)
 
 
 TABLE = docs_page.Table("published_lines", "lines.md", ("line", "tension", "published, %", "here, %"), summary)

@@ -281,7 +281,7 @@ def table(cases: list[Case]) -> str:
     agree = sum(case.agrees for case in ran)
     alarms = [case for case in ran if case.alarm]
     counts = {
-        "machines": len(cases),
+        "Machines": len(cases),
         "refused by `check`": len(cases) - len(ran),
         "run": len(ran),
         "nothing announced, nothing happened": sum(case.agrees and not case.happened for case in ran),
@@ -293,7 +293,7 @@ def table(cases: list[Case]) -> str:
         "false alarms of break, slip, slack web or shift": len(alarms),
         "a tension loop open at the end of a hold": sum(bool(case.open_loop) for case in ran),
     }
-    return docs_page.markdown(("random machines", ""), [(what, str(count)) for what, count in counts.items()])
+    return "; ".join(f"{what}: {count}" for what, count in counts.items()) + "."
 
 
 def odd(cases: list[Case]) -> list[list[str]]:

@@ -42,7 +42,6 @@ from hilbench.runs.config import load_with_overrides
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "bench_configs" / "web_section_step.yaml"
-PAGE = ROOT / "docs" / "fault_tests.md"
 #: Simulated time between two looks at the processes, between two faults of the long run, and of a short run.
 LOOK_S, FAULT_S, SHORT_S = 10.0, 4.0, 6.0
 #: Part of the time that is one long run.
@@ -101,11 +100,11 @@ class Series:
                 found.append(f"{quantity} of {self.name}: {before} to {after}")
         return found
 
-    def line(self) -> str:
+    def cells(self) -> list[str]:
         """A row of the table."""
         cells = ["{} → {}".format(*self.before_and_after(quantity)) for quantity in ("memory_kB", "handles", "threads")]
         peak = max(held.memory_kB for held in self.held)
-        return f"| {self.name} | {cells[0]} ({peak}) | {cells[1]} | {cells[2]} | {len(self.held)} |"
+        return [self.name, f"{cells[0]} ({peak})", *cells[1:], str(len(self.held))]
 
 
 def processes_of(channel: str) -> list[int]:
@@ -259,17 +258,29 @@ class Soak:
         return [*found, f"{self.left_over} processes left over"] if self.left_over else found
 
     def page(self, wall_s: float) -> str:
-        """The table and what it is of, in Markdown."""
+        """What was done, and what came of it."""
         faults = ", ".join(f"{count} × {name}" for name, count in sorted(self.faults.items()))
-        head = ["| process | memory, kB (most) | file handles | threads | looks |", "|---|---|---|---|--:|"]
         last = f"{self.left_over} processes left over. " + ("; ".join(self.problems()) or "Nothing grew.")
         about = f"{self.simulated_s / 60.0:.0f} min simulated, in {wall_s / 60.0:.0f} min: {faults}."
-        return "\n".join([about, "", *head, *(series.line() for series in self.series()), "", last])
+        return f"{about} {last}"
 
 
 def _what(pid: int) -> str:
     words = Path(f"/proc/{pid}/cmdline").read_bytes()
     return "hub" if b"hilbench.can.hub" in words else "supervisor"
+
+
+def summary(rows: list[docs_page.Row]) -> str:
+    """Memory of each process."""
+    return "Memory in kB: " + "; ".join(f"{row['process']} {row['memory, kB (most)']}" for row in rows) + "."
+
+
+TABLE = docs_page.Table(
+    "soak_processes",
+    "fault_tests.md",
+    ("process", "memory, kB (most)", "file handles", "threads", "looks"),
+    summary,
+)
 
 
 def main() -> int:
@@ -288,9 +299,11 @@ def main() -> int:
         soak.long_run(Path(folder))
         soak.short_runs(Path(folder))
     text = soak.page(time.monotonic() - began_s)
-    print(text)
+    rows = [series.cells() for series in soak.series()]
+    print(text, docs_page.markdown(TABLE.columns, rows), sep="\n\n")
     if options.write:
-        docs_page.put(PAGE, "soak", text)
+        docs_page.put(docs_page.DOCS / TABLE.page, "soak", text)
+        TABLE.write(rows)
     return 1 if soak.problems() else 0
 
 

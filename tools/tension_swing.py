@@ -82,11 +82,14 @@ def margin_rows() -> list[list[str]]:
     return found
 
 
-def at_3_m_s(*titles: str) -> Callable[[list[docs_page.Row]], str]:
-    """These columns of the rows of 3 m/s."""
-    return lambda rows: docs_page.markdown(
-        titles, [[row[title] for title in titles] for row in rows if row["m/s"] == "3"]
-    )
+def at_3_m_s(*titles: str, least_pct: float = 0.0) -> Callable[[list[docs_page.Row]], str]:
+    """These columns of the rows of 3 m/s and of steps of this size and more, in the first column."""
+
+    def made(rows: list[docs_page.Row]) -> str:
+        shown = [row for row in rows if row["m/s"] == "3" and abs(float(row[titles[0]].split()[0])) >= least_pct]
+        return docs_page.markdown(titles, [[row[title] for title in titles] for row in shown])
+
+    return made
 
 
 MARGINS = docs_page.Table(
@@ -99,7 +102,7 @@ SWING = docs_page.Table(
     "swing",
     "theory.md",
     ("step of E", "m/s", "other side, N", "swing, N", "within 1 N, s", "E to 1 %, s", "noise, N"),
-    at_3_m_s("step of E", "other side, N", "swing, N", "within 1 N, s"),
+    at_3_m_s("step of E", "other side, N", "swing, N", "within 1 N, s", least_pct=20.0),
 )
 
 

@@ -34,7 +34,7 @@ def _cycles(cell: str) -> int:
 
 
 def _outcomes(rows: list[docs_page.Row]) -> str:
-    return "; ".join(what for what, _ in Counter(row["expected"] for row in rows).most_common(3))
+    return "; ".join(what for what, _ in Counter(row["expected"] for row in rows).most_common(2))
 
 
 TABLE = docs_page.Table("faults", "fault_tests.md", COLUMNS, summary)

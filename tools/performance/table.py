@@ -73,10 +73,8 @@ COLUMNS = ("section", "how it is measured", "what", "value", "ratio", "date")
 #: What the page shows of each section.
 SHOWN = {
     "Model kernel, one span": ("kernel", "plain Python", "scipy solve_ivp"),
-    "Model kernel, effects": ("all effects",),
     "Model kernel, spans": ("100 spans",),
     "PDO path per cycle": ("codec", "canopen's PDO objects", "the bench's whole path"),
-    "Streams": ("a sample handed to a stream",),
     "The twin, one span": ("a plain cycle", "a cycle by objects"),
     "Lockstep, the demo": ("speed", "speed with --in-process"),
     "Other machines, in one process": (
@@ -90,7 +88,6 @@ SHOWN = {
     "Real time at 2 ms, priority 20": ("bench, p50", "bench, p99.9", "the wire, at worst"),
     "Real time at 1 ms, priority 20, 5 TPDOs of 3 drives": ("answers that came too late",),
     "Real time at 1 ms, priority 20, 3 TPDOs of 3 drives": ("answers that came too late",),
-    "Synchronizers against length of recording": ("48 s",),
     "Diagnosis against length of recording": ("48 s",),
     "Start-up": ("hilbench --help", "hilbench run to first SYNC, warm", "hilbench compile"),
 }
