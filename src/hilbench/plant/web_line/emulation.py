@@ -152,7 +152,7 @@ def _simulate(
     guess, memory = np.zeros(line.shape[1]), np.zeros(line_kernel.FIRST + 3 * count)
     memory[line_kernel.SAMPLE_S], memory[line_kernel.STEP_S] = web[0, lay.W_SAMPLE_TIME_S], step_s
     further, loads = np.zeros(count), np.zeros(count)
-    seen = np.zeros(3 * int(web[0, lay.W_MOTORS]) + 2 * int(web[0, lay.W_SPANS]))
+    seen = np.zeros(4 * int(web[0, lay.W_MOTORS]) + 2 * int(web[0, lay.W_SPANS]))
     first, more = u.copy(), np.zeros(len(pushed))
     for b in range(p.shape[0]):
         u[:] = first
