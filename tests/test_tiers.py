@@ -39,7 +39,7 @@ def _of_the_guest() -> str:
 def choices() -> dict[str, str]:
     """Which tests each command of .ci/run chooses that calls pytest."""
     found = {}
-    for target in re.findall(r"^make ([\w-]+)$", (ROOT / ".ci" / "run").read_text(), re.MULTILINE):
+    for target in re.findall(r"^ *(?:make|tested) ([\w-]+)", (ROOT / ".ci" / "run").read_text(), re.MULTILINE):
         done = subprocess.run(["make", "-n", target], cwd=ROOT, capture_output=True, text=True, check=True)
         for words in (shlex.split(line, comments=True) for line in done.stdout.splitlines() if "-m pytest" in line):
             found[target] = _choice(words[words.index("pytest") :]) or _by_default()
