@@ -172,30 +172,32 @@ else:
 
         return types.void(), generate
 
+    def _array_at(context, builder, kind, address, *shape):
+        from numba.np.arrayobj import make_array, populate_array  # what is only called needs none of it
+
+        found, size = make_array(kind)(context, builder), context.get_abi_sizeof(context.get_data_type(kind.dtype))
+        step = context.get_constant(types.intp, size)
+        strides = [step]
+        for size in reversed(shape[1:]):
+            strides.insert(0, builder.mul(strides[0], size))
+        populate_array(found, builder.inttoptr(address, found.data.type), shape, strides, step, None)
+        return found._getvalue()
+
     def _array_of(dtype):
         @intrinsic
         def array(typingcontext, table, row, dimensions):
             result = types.Array(dtype, len(dimensions), "C")
 
             def generate(context, builder, signature, arguments):
-                from numba.np.arrayobj import make_array, populate_array  # what is only called needs none of it
+                from numba.np.arrayobj import make_array
 
                 rows = make_array(signature.args[0])(context, builder, arguments[0])
                 first = builder.mul(arguments[1], context.get_constant(types.intp, TABLE_WIDTH))
-
-                def cell(column):
-                    place = builder.add(first, context.get_constant(types.intp, column))
-                    return builder.load(builder.gep(rows.data, [place]))
-
-                found = make_array(result)(context, builder)
-                shape = [cell(1 + place) for place in range(result.ndim)]
-                step = context.get_constant(types.intp, 8)
-                strides = [step]
-                for size in reversed(shape[1:]):
-                    strides.insert(0, builder.mul(strides[0], size))
-                data = builder.inttoptr(cell(0), found.data.type)
-                populate_array(found, data, shape, strides, step, None)
-                return found._getvalue()
+                cells = [
+                    builder.load(builder.gep(rows.data, [builder.add(first, context.get_constant(types.intp, column))]))
+                    for column in range(1 + result.ndim)
+                ]
+                return _array_at(context, builder, result, *cells)
 
             return result(table, types.intp, dimensions), generate
 
@@ -233,17 +235,6 @@ else:
             return field(result)
 
         return result(table, kind), generate
-
-    def _array_at(context, builder, kind, address, *shape):
-        from numba.np.arrayobj import make_array, populate_array  # what is only called needs none of it
-
-        found, size = make_array(kind)(context, builder), context.get_abi_sizeof(context.get_data_type(kind.dtype))
-        step = context.get_constant(types.intp, size)
-        strides = [step]
-        for size in reversed(shape[1:]):
-            strides.insert(0, builder.mul(strides[0], size))
-        populate_array(found, builder.inttoptr(address, found.data.type), shape, strides, step, None)
-        return found._getvalue()
 
     @intrinsic
     def viewed(typing_context, array, kind):
@@ -355,7 +346,7 @@ def record_type(*names: str, of: type[np.generic] = np.float64) -> np.dtype[Any]
 def of_record(kind: np.dtype[Any], **values: float) -> tuple[float, ...]:
     """Values of a record in the order of its fields; those that are not given are 0.
 
-    Raises KeyError for a name that it has not.
+    Raises ValueError for a name that it has not.
     """
     record = np.zeros(1, kind)
     for name, value in values.items():
