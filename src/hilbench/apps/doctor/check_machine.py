@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from hilbench.apps.doctor.findings import Check, Finding, ok, warning
@@ -32,47 +33,29 @@ def check_machine(facts: MachineFacts, lateness: Lateness, needs: MachineNeeds) 
     findings = [_clock(facts)]
     if needs.socketcan:
         findings.append(_receive_buffer(facts))
-    timed = [
-        _clock_source(facts),
-        _timer(lateness, needs),
-        _priority(facts),
-        _locked_memory(facts),
-        _kernel(facts),
-        _isolated_cores(facts),
-        _governor(facts),
-    ]
+    timed = [_clock_source(facts), _timer(lateness, needs), *_rights(facts), *_scheduling(facts)]
     if not needs.realtime:
         timed = [ok(finding.check, finding.subject, f"{finding.found} (lockstep: no matter)") for finding in timed]
     return findings + timed
 
 
+def _unless(is_fine: bool, check: Check, fine: str, found: str, problem: str = "", **values: object) -> Finding:
+    """What is found where all is well, and otherwise."""
+    return ok(check, SUBJECT, fine) if is_fine else warning(check, SUBJECT, found, problem, **values)
+
+
 def _clock(facts: MachineFacts) -> Finding:
     found = f"CLOCK_MONOTONIC, resolution {facts.clock_resolution_s * 1e9:g} ns"
-    if facts.clock_adjustable or facts.clock_resolution_s > _FINEST_CLOCK_S:
-        follows = ", set with the wall clock" if facts.clock_adjustable else ""
-        return warning(
-            Check.CLOCK,
-            SUBJECT,
-            found + follows,
-            "1 µs or finer, not set with the wall clock",
-            "use a kernel with high-resolution timers (CONFIG_HIGH_RES_TIMERS)",
-        )
-    return ok(Check.CLOCK, SUBJECT, f"{found}; setting the wall clock does not move SYNC")
+    follows = ", set with the wall clock" if facts.clock_adjustable else ""
+    is_fine = not follows and facts.clock_resolution_s <= _FINEST_CLOCK_S
+    return _unless(is_fine, Check.CLOCK, f"{found}; setting the wall clock does not move SYNC", found + follows)
 
 
 def _clock_source(facts: MachineFacts) -> Finding:
-    if facts.clock_source is None:
-        return ok(Check.CLOCK_SOURCE, SUBJECT, "not reported by the kernel")
-    if facts.clock_source in _SLOW_CLOCK_SOURCES:
-        better = next((name for name in facts.clock_sources if name not in _SLOW_CLOCK_SOURCES), None)
-        place = "/sys/devices/system/clocksource/clocksource0/current_clocksource"
-        advice = (
-            f"echo {better} | sudo tee {place}"
-            if better
-            else "none is offered here: see 'clocksource' in the output of: sudo dmesg"
-        )
-        return warning(Check.CLOCK_SOURCE, SUBJECT, facts.clock_source, "one read without a device (tsc)", advice)
-    return ok(Check.CLOCK_SOURCE, SUBJECT, facts.clock_source)
+    source = facts.clock_source
+    better = next((name for name in facts.clock_sources if name not in _SLOW_CLOCK_SOURCES), None)
+    known, problem = source or "not reported by the kernel", "" if better else "no_clock_source"
+    return _unless(source not in _SLOW_CLOCK_SOURCES, Check.CLOCK_SOURCE, known, known, problem, better=better)
 
 
 def _timer(lateness: Lateness, needs: MachineNeeds) -> Finding:
@@ -81,90 +64,31 @@ def _timer(lateness: Lateness, needs: MachineNeeds) -> Finding:
         f"in {lateness.cycles} cycles of {needs.cycle_s * 1e3:g} ms"
     )
     cycle_us = needs.cycle_s * 1e6
-    if lateness.p99_us > _LATE_SHARE * cycle_us or lateness.max_us > cycle_us:
-        return warning(
-            Check.TIMER,
-            SUBJECT,
-            found,
-            f"p99 up to {_LATE_SHARE * cycle_us:.0f} µs, none over {cycle_us:.0f} µs",
-            f"give it real-time priority and a core of its own: chrt -f {PRIORITY} taskset -c CORE hilbench run ...",
-        )
-    return ok(Check.TIMER, SUBJECT, found)
+    p99_us = _LATE_SHARE * cycle_us
+    is_fine = lateness.p99_us <= p99_us and lateness.max_us <= cycle_us
+    return _unless(is_fine, Check.TIMER, found, found, p99_us=p99_us, cycle_us=cycle_us, priority=PRIORITY)
 
 
-def _priority(facts: MachineFacts) -> Finding:
-    if facts.priority_limit >= PRIORITY:
-        return ok(Check.PRIORITY, SUBJECT, f"SCHED_FIFO up to {facts.priority_limit} allowed")
-    return warning(
-        Check.PRIORITY,
-        SUBJECT,
-        f"rtprio {facts.priority_limit}: SCHED_FIFO is not allowed"
-        if not facts.priority_limit
-        else f"rtprio {facts.priority_limit}",
-        f"rtprio {PRIORITY} or more",
-        f"echo '@realtime - rtprio {PRIORITY}' | sudo tee -a {_LIMITS}; join the group realtime; log in anew",
-    )
+def _rights(facts: MachineFacts) -> Iterator[Finding]:
+    priority, locked_bytes = facts.priority_limit, facts.locked_memory_bytes
+    found = f"rtprio {priority}" + ("" if priority else ": SCHED_FIFO is not allowed")
+    allowed = f"SCHED_FIFO up to {priority} allowed"
+    yield _unless(priority >= PRIORITY, Check.PRIORITY, allowed, found, priority=PRIORITY, limits=_LIMITS)
+    found = f"memlock {(locked_bytes or 0) >> 10} KiB"
+    allowed = "memory may be locked, no limit"
+    yield _unless(locked_bytes is None, Check.LOCKED_MEMORY, allowed, found, limits=_LIMITS)
 
 
-def _locked_memory(facts: MachineFacts) -> Finding:
-    limit = facts.locked_memory_bytes
-    if limit is None:
-        return ok(Check.LOCKED_MEMORY, SUBJECT, "memory may be locked, no limit")
-    return warning(
-        Check.LOCKED_MEMORY,
-        SUBJECT,
-        f"memlock {limit >> 10} KiB",
-        "unlimited, so that the bench can keep its memory from being paged out",
-        f"echo '@realtime - memlock unlimited' | sudo tee -a {_LIMITS}; join the group realtime; log in anew",
-    )
-
-
-def _kernel(facts: MachineFacts) -> Finding:
-    if facts.preempt_rt:
-        return ok(Check.KERNEL, SUBJECT, f"{facts.kernel}, PREEMPT_RT")
-    return warning(
-        Check.KERNEL,
-        SUBJECT,
-        f"{facts.kernel}, not PREEMPT_RT",
-        "a kernel with PREEMPT_RT, where SYNC must never be late",
-        "sudo apt install linux-image-rt-amd64 (Debian), then reboot into it",
-    )
-
-
-def _isolated_cores(facts: MachineFacts) -> Finding:
-    if facts.isolated_cores:
-        return ok(Check.ISOLATED_CORES, SUBJECT, facts.isolated_cores)
-    return warning(
-        Check.ISOLATED_CORES,
-        SUBJECT,
-        f"none of {facts.cores}",
-        "one core for the bench alone",
-        "add isolcpus=CORE nohz_full=CORE to GRUB_CMDLINE_LINUX in /etc/default/grub; sudo update-grub; reboot",
-    )
-
-
-def _governor(facts: MachineFacts) -> Finding:
-    if not facts.governors or facts.governors == ("performance",):
-        return ok(Check.GOVERNOR, SUBJECT, " ".join(facts.governors) or "frequency is not scaled here")
-    return warning(
-        Check.GOVERNOR,
-        SUBJECT,
-        ", ".join(facts.governors),
-        "performance on every core",
-        "echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor",
-    )
+def _scheduling(facts: MachineFacts) -> Iterator[Finding]:
+    kernel, isolated, governors = facts.kernel, facts.isolated_cores, facts.governors
+    yield _unless(facts.preempt_rt, Check.KERNEL, f"{kernel}, PREEMPT_RT", f"{kernel}, not PREEMPT_RT")
+    yield _unless(bool(isolated), Check.ISOLATED_CORES, isolated, f"none of {facts.cores}")
+    scaled = " ".join(governors) or "frequency is not scaled here"
+    yield _unless(governors in ((), ("performance",)), Check.GOVERNOR, scaled, ", ".join(governors))
 
 
 def _receive_buffer(facts: MachineFacts) -> Finding:
     limit = facts.receive_buffer_bytes
-    if limit is None or limit >= RECEIVE_BUFFER_BYTES:
-        return ok(
-            Check.RECEIVE_BUFFER, SUBJECT, "as large as asked for" if limit is None else f"up to {limit >> 10} KiB"
-        )
-    return warning(
-        Check.RECEIVE_BUFFER,
-        SUBJECT,
-        f"net.core.rmem_max {limit} bytes",
-        f"{RECEIVE_BUFFER_BYTES} bytes: 0.3 s of a full bus",
-        f"sudo sysctl -w net.core.rmem_max={RECEIVE_BUFFER_BYTES}",
-    )
+    fine = "as large as asked for" if limit is None else f"up to {limit >> 10} KiB"
+    found, wanted = f"net.core.rmem_max {limit} bytes", RECEIVE_BUFFER_BYTES
+    return _unless(limit is None or limit >= wanted, Check.RECEIVE_BUFFER, fine, found, wanted=wanted)

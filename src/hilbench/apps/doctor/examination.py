@@ -100,15 +100,11 @@ def examine(subject: Subject, *, start: Start | None, announce: Callable[[str], 
     before = read_interface(bus.channel)
     interface = check_interface(before, before, needs)
     if any(finding.level is Level.ERROR for finding in interface):
-        return Examination([*machine, *interface, _left_alone(bus)], lateness)
+        left_alone = warning(Check.BUS, str(bus), "not used: its interface is not right", "bus_left_alone")
+        return Examination([*machine, *interface, left_alone], lateness)
     stations = _stations(subject, bus, start, announce)
     interface = check_interface(before, read_interface(bus.channel), needs)
     return Examination(machine + interface + stations, lateness)
-
-
-def _left_alone(bus: BusAddress) -> Finding:
-    advice = "put the interface right, then run hilbench doctor again"
-    return warning(Check.BUS, str(bus), "not used: its interface is not right", "findings on nodes", advice)
 
 
 def _stations(subject: Subject, bus: BusAddress, start: Start | None, announce: Callable[[str], None]) -> list[Finding]:
@@ -117,8 +113,7 @@ def _stations(subject: Subject, bus: BusAddress, start: Start | None, announce: 
         with ExitStack() as resources:
             return _on_bus(subject, bus, start, announce, resources)
     except BenchFaultError as fault:
-        advice = "the other findings may say why; else the command that the message names"
-        return [error(Check.BUS, str(bus), str(fault), "a bus that can be used", advice)]
+        return [error(Check.BUS, str(bus), str(fault))]
 
 
 def _on_bus(
