@@ -57,13 +57,13 @@ def conformance(
     """
     from rich.console import Console
 
-    from hilbench.apps.conformance.junit import write_junit
+    from hilbench.apps.conformance.reports import write_junit
 
     examination = _examined(bus, node, eds, allow_motion, allow_store, only or [], boot, force, quiet=json)
     if junit is not None:
         write_junit(examination, junit)
     if html is not None:
-        from hilbench.apps.conformance.page import write_conformance_page
+        from hilbench.apps.conformance.reports import write_conformance_page
 
         write_conformance_page(examination, html)
     if json:
@@ -141,7 +141,7 @@ class _Display:
     def _print(self) -> None:
         from rich.markup import escape
 
-        from hilbench.apps.conformance.page import counted
+        from hilbench.apps.conformance.reports import counted
 
         if sys.stderr.isatty():
             print(f"\r{'':<40}\r", end="", file=sys.stderr, flush=True)
@@ -165,8 +165,8 @@ class _Display:
 def _sum_up(console: Console, examination: Examination, written: list[Path]) -> None:
     from rich.markup import escape
 
-    from hilbench.apps.conformance.page import counted
     from hilbench.apps.conformance.record import Verdict
+    from hilbench.apps.conformance.reports import counted
 
     verdict = "[red]failed[/]" if examination.failed else "[green]passed[/]"
     counts = counted(case.verdict for case in examination.cases)

@@ -15,11 +15,9 @@ from pathlib import Path
 
 from hilbench.apps.canopen_tools.interface import read_interface
 from hilbench.apps.doctor.check_interface import InterfaceNeeds, check_interface
-from hilbench.apps.doctor.check_machine import MachineNeeds, check_machine
-from hilbench.apps.doctor.check_stations import check_node, check_received
+from hilbench.apps.doctor.check_machine import Lateness, MachineNeeds, check_machine, measure_lateness, read_machine
+from hilbench.apps.doctor.check_stations import ExpectedNode, ask, check_node, check_received
 from hilbench.apps.doctor.findings import Check, Finding, Level, error, ok, warning
-from hilbench.apps.doctor.machine import Lateness, measure_lateness, read_machine
-from hilbench.apps.doctor.stations import ExpectedNode, ask
 from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link, open_python_can
 from hilbench.canopen.listening import listen, present

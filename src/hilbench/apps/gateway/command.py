@@ -40,8 +40,7 @@ def gateway(
     Example: hilbench gateway --bus socketcan:can0
     """
     from hilbench.apps.canopen_tools.attach import MASTER_ID, config_and_bus
-    from hilbench.apps.gateway.network import GatewayNetwork
-    from hilbench.apps.gateway.session import Session
+    from hilbench.apps.gateway.session import GatewayNetwork, Session
     from hilbench.can.open import open_link
     from hilbench.processes import stop_request
 

@@ -57,9 +57,8 @@ def history(
     Example: hilbench history --rebuild --runs runs --json
     """
     from hilbench.apps.history import entries
-    from hilbench.apps.history.quantities import quantities_of
+    from hilbench.apps.history.quantities import as_data, quantities_of
     from hilbench.apps.history.store import History, history_beside, history_of
-    from hilbench.apps.history.wording import as_data
     from hilbench.runs.config import load
 
     bench = None if config is None else load(config)[0]
@@ -105,7 +104,7 @@ def _show(found: dict[str, list[QuantityTrend]], path: Path, problems: Sequence[
     from rich.console import Console
     from rich.table import Table
 
-    from hilbench.apps.history.wording import figures, sentences
+    from hilbench.apps.history.quantities import figures, sentences
 
     console = Console(highlight=False)
     console.width = max(console.width, _WIDTH)

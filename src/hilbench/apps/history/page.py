@@ -8,8 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hilbench.apps.history.quantities import SECONDS_PER_DAY, QuantityTrend
-from hilbench.apps.history.wording import date, figures, sentences
+from hilbench.apps.history.quantities import SECONDS_PER_DAY, QuantityTrend, date, figures, sentences
 from hilbench.apps.report.chart import BLUE, INK, ORANGE, VERMILLION
 from hilbench.apps.report.page import typeset, write_page
 from hilbench.apps.report.plots import Drawing, DrawnAxes, Picture

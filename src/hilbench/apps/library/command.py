@@ -530,7 +530,7 @@ def matrix(
 
     specified = []
     if reqif is not None:
-        from hilbench.apps.library.specification import read_reqif
+        from hilbench.apps.library.matrix import read_reqif
 
         specified = read_reqif(reqif)
     query = Query.parse(**filters)

@@ -89,9 +89,8 @@ def monitor(
         if json:
             _print(picture, link, duration)
             return
-        from hilbench.apps.monitor.changes import PATIENCE_S, ChangeRequests
+        from hilbench.apps.monitor.changes import PATIENCE_S, ChangeRequests, OperatorJournal
         from hilbench.apps.monitor.dashboard import Dashboard
-        from hilbench.apps.monitor.operator_journal import OperatorJournal
         from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
 
         operator_journal = OperatorJournal(runs or Path("runs"), link.channel, loaded.cycle_ns)

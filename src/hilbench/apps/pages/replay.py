@@ -16,8 +16,7 @@ from starlette.websockets import WebSocket
 
 from hilbench.apps.library.live_run import LiveRun
 from hilbench.apps.library.query import Library
-from hilbench.apps.pages.live.control_lock import ControlLock
-from hilbench.apps.pages.live.controls import ControlAnswer, Viewer
+from hilbench.apps.pages.live.controls import ControlAnswer, ControlLock, Viewer
 from hilbench.apps.pages.live.listener import Listener
 from hilbench.apps.pages.live.replay import FAST, PlayedTrace
 from hilbench.apps.pages.live.viewer import Viewers

@@ -144,8 +144,7 @@ def _print(answer: Answer, texts: Sequence[str], when: str) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from hilbench.apps.what_if.page import levels_of, rows_of
-    from hilbench.apps.what_if.text_chart import text_chart
+    from hilbench.apps.what_if.page import levels_of, rows_of, text_chart
 
     outlook, console = answer.outlook, Console(highlight=False)
     seconds = outlook.times_s[-1] - outlook.now_s
