@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from hilbench.apps.commands.new_bench import SERVO_AXIS, WEB_LINE, NewBench, Place, Suggested
 from hilbench.errors import UnusableInputError
@@ -36,7 +37,7 @@ _OF_KIND: Mapping[MachineKind, NewBench] = {MachineKind.WEB_LINE: WEB_LINE, Mach
 
 @app.command()
 def schema(
-    out: Annotated[Path | None, typer.Option("--out", help="file; standard output without it")] = None,
+    out: Annotated[Path | None, Option(help="file; standard output without it")] = None,
 ) -> None:
     """Write the JSON Schema of a bench config, with which an editor completes and checks keys.
 
@@ -57,17 +58,16 @@ def schema(
 
 @app.command()
 def new(
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="config to write; must not exist")],
+    path: Annotated[Path, Argument(metavar="FILE", help="config to write; must not exist")],
     eds: Annotated[
         Path | None,
-        typer.Option(
-            "--eds",
+        Option(
             help="folder with the EDS files of the simulated devices",
             show_default="eds; those of hilbench are copied there if need be",
         ),
     ] = None,
-    kind: Annotated[MachineKind, typer.Option("--kind", help="of the machine")] = MachineKind.WEB_LINE,
-    defaults: Annotated[bool, typer.Option("--defaults", help="ask nothing: what would be suggested")] = False,
+    kind: Annotated[MachineKind, Option(help="of the machine")] = MachineKind.WEB_LINE,
+    defaults: Annotated[bool, Option("--defaults", help="ask nothing: what would be suggested")] = False,
 ) -> None:
     """Configuration wizard: write a checked bench of simulated drives, with a comment at every key that needs one.
 
