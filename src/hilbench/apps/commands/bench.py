@@ -187,9 +187,7 @@ def estop(
     raise typer.Exit(estop_command(bus))
 
 
-def recover(
-    run_folder: Annotated[Path, Argument(metavar="RUN", help="folder of a run that was cut off")],
-) -> None:
+def recover(run_folder: Annotated[Path, Argument(metavar="RUN", help="folder of a run that was cut off")]) -> None:
     """Rebuild what a run that was cut off could not write (recording, result, report) from its trace.
 
     Nothing that is there already is overwritten.

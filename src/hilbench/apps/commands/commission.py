@@ -119,13 +119,7 @@ def commission(
 
 
 def _measured(
-    loaded: LoadedConfig,
-    out: Path,
-    progress: ProgressDisplay,
-    known_pct: float,
-    *,
-    in_process: bool,
-    force: bool,
+    loaded: LoadedConfig, out: Path, progress: ProgressDisplay, known_pct: float, *, in_process: bool, force: bool
 ) -> tuple[RunFolder, list[Commissioned]]:
     """Run the plan and fit its recording. Raises as `hilbench.diagnosis.live.run_bench`."""
     from hilbench.bench.lifecycle.participants import Participants

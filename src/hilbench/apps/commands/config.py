@@ -36,9 +36,7 @@ _OF_KIND: Mapping[MachineKind, NewBench] = {MachineKind.WEB_LINE: WEB_LINE, Mach
 
 
 @app.command()
-def schema(
-    out: Annotated[Path | None, Option(help="file; standard output without it")] = None,
-) -> None:
+def schema(out: Annotated[Path | None, Option(help="file; standard output without it")] = None) -> None:
     """Write the JSON Schema of a bench config, with which an editor completes and checks keys.
 
     In the config's first line: # yaml-language-server: $schema=bench.schema.json

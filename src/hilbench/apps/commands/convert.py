@@ -72,8 +72,7 @@ def _is_same_file(one: Path, other: Path) -> bool:
 
 
 def dbc(
-    config: ConfigArgument,
-    out: Annotated[Path | None, Option(help="file; standard output without it")] = None,
+    config: ConfigArgument, out: Annotated[Path | None, Option(help="file; standard output without it")] = None
 ) -> None:
     """Write the PDO set of a bench as a DBC file, with SI units, for tools that decode the bus.
 

@@ -124,9 +124,7 @@ def _restore_pdo(dut: DeviceUnderTest, index: int, values: Values) -> None:
 
 
 def examine(
-    dut: DeviceUnderTest,
-    groups: Collection[str] = (),
-    on_result: Callable[[CaseResult], None] = lambda _result: None,
+    dut: DeviceUnderTest, groups: Collection[str] = (), on_result: Callable[[CaseResult], None] = lambda _result: None
 ) -> list[CaseResult]:
     """Run every case, or those of some groups; `on_result` is called with each as it ends.
 

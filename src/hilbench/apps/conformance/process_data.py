@@ -69,13 +69,7 @@ def mapped(dut: DeviceUnderTest, index: int) -> list[int]:
 
 
 def set_up(
-    dut: DeviceUnderTest,
-    kind: int,
-    *,
-    inhibit: int = 0,
-    event_ms: int = 0,
-    start: int = 0,
-    remote: bool = False,
+    dut: DeviceUnderTest, kind: int, *, inhibit: int = 0, event_ms: int = 0, start: int = 0, remote: bool = False
 ) -> None:
     """Set up the case's PDO as in CiA 301, 7.5.2.36: invalid, mapping, parameters, valid. Inhibit time in 100 µs.
 

@@ -115,11 +115,7 @@ def _stations(subject: Subject, bus: BusAddress, start: Start | None, announce: 
 
 
 def _on_bus(
-    subject: Subject,
-    bus: BusAddress,
-    start: Start | None,
-    announce: Callable[[str], None],
-    resources: ExitStack,
+    subject: Subject, bus: BusAddress, start: Start | None, announce: Callable[[str], None], resources: ExitStack
 ) -> list[Finding]:
     link = open_link(bus)
     resources.callback(link.close)

@@ -26,11 +26,7 @@ COLUMNS: Final = ("Quantity", ">Runs", ">Days", ">Now", "95 %", ">Per day", "95 
 def write_history_page(stands: Mapping[str, Sequence[QuantityTrend]], path: Path) -> Path:
     """Write the page; returns its path. Raises UnusableInputError if it cannot be written."""
     shown = [
-        (
-            stand,
-            [row(each) for each in quantities],
-            [picture(stand, each) for each in quantities],
-        )
+        (stand, [row(each) for each in quantities], [picture(stand, each) for each in quantities])
         for stand, quantities in stands.items()
     ]
     title = "History of " + ", ".join(stands)

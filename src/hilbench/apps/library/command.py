@@ -220,11 +220,7 @@ def _found(criterion: CriterionResult) -> str:
 
 
 @app.command()
-def show(
-    run: OneRunArgument = "last",
-    runs: RunsOption = _DIR,
-    json: JsonOption = False,
-) -> None:
+def show(run: OneRunArgument = "last", runs: RunsOption = _DIR, json: JsonOption = False) -> None:
     """Show one run: its result, criteria, metrics, labels, and where its files are.
 
     Example: hilbench runs show last

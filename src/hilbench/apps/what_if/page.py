@@ -27,12 +27,7 @@ Summary = tuple[DiagnosisAnswer, list[float], list[float], float]
 
 
 def text_chart(
-    times_s: Array,
-    band: tuple[Array, Array, Array],
-    levels: Sequence[float] = (),
-    *,
-    width: int = 64,
-    height: int = 8,
+    times_s: Array, band: tuple[Array, Array, Array], levels: Sequence[float] = (), *, width: int = 64, height: int = 8
 ) -> list[str]:
     """Lines of a chart: low, median and high (n,) of a course over `times_s` (n,), and those of the `levels` (of its
     size) that are not too far from it to be in the picture; the axis of time below."""
