@@ -17,7 +17,7 @@ from tests.pages.told_samples import keep
 
 from hilbench.apps.pages import replay
 from hilbench.apps.pages.access import Access
-from hilbench.apps.pages.live.replay import FAST, PlayedTrace
+from hilbench.apps.pages.replay import FAST, PlayedTrace
 from hilbench.apps.pages.runs import routes
 from hilbench.apps.pages.server import site
 from hilbench.canopen.identifiers import SYNC

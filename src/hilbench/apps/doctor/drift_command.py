@@ -86,7 +86,7 @@ def drift(
 
 def _write(config: Path, found: Sequence[Drift], keys: Sequence[str]) -> list[str]:
     """Write what was asked for; returns a line for each change."""
-    from hilbench.runs.config_edit import write_value
+    from hilbench.runs.config_text import write_value
 
     possible = {each.key: each for each in found if each.write}
     for key in keys:

@@ -522,7 +522,7 @@ def matrix(
     query = Query.parse(**filters)
     made = matrix_of([run for run in _library(runs).runs(query) if run.verifies][:last], specified)
     if html is not None:
-        from hilbench.apps.library.matrix_page import write_matrix_page
+        from hilbench.apps.library.matrix import write_matrix_page
 
         typer.echo(write_matrix_page(made, runs, html))
     elif json:

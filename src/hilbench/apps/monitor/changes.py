@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,6 @@ from typing import Any, Final, TypeVar
 from canopen import SdoAbortedError, SdoCommunicationError
 from hilbench.apps.library.labels import user_name
 from hilbench.apps.library.live_run import LiveRun
-from hilbench.apps.monitor.web_line_switches import Switch, switches
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
 from hilbench.bench.operator.operator_objects import INDEX
 from hilbench.bench.prediction.create import foreseeable
@@ -33,6 +32,7 @@ from hilbench.results.what_if import Question, what_if
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.main_quantities.of_kind import find_quantity
 from hilbench.topology.main_quantities.quantity import MainQuantity
+from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE
 
 #: How long the bench may take, s; in lockstep it answers with its next cycle.
 PATIENCE_S: Final = 3.0
@@ -42,6 +42,29 @@ _LIKELY: Final = 0.5
 SHOWN_UNITS: Final = ("N", "N·m")
 
 Answered = TypeVar("Answered", str, "Foreseen")
+
+
+@dataclass(frozen=True)
+class Switch:
+    """Yes-or-no switch of a bench: path, key in the monitor, title, and the meaning of yes and no."""
+
+    path: str
+    key: str
+    title: str
+    yes: str
+    no: str
+
+
+PROBE: Final = Switch(TENSION_PROBE, "p", "probe", "move the tension a little, or allow it", "end or refuse it")
+MODEL: Final = Switch(MODEL_CHANGE, "c", "model change", "the twin takes over the proposed model", "refuse it")
+
+
+def switches(config: BenchConfig) -> Iterator[Switch]:
+    """Switches of this bench."""
+    if any(control.probes.mode != "off" for control in config.tension_controls.values()):
+        yield PROBE
+    if config.twin.live_diagnosis is not None:
+        yield MODEL
 
 
 class RecentFrames:

@@ -12,7 +12,7 @@ from contextlib import suppress
 from math import isfinite
 from typing import Any, Final
 
-from hilbench.apps.library.active_runs import continues
+from hilbench.apps.library.live_run import continues
 from hilbench.apps.monitor.changes import RecentFrames
 from hilbench.apps.monitor.condition import Condition
 from hilbench.apps.monitor.picture import BusPicture
