@@ -7,9 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from hilbench.apps.doctor.check_machine import MachineNeeds, check_machine
+from hilbench.apps.doctor.check_machine import (
+    Lateness,
+    MachineFacts,
+    MachineNeeds,
+    check_machine,
+    measure_lateness,
+    read_machine,
+)
 from hilbench.apps.doctor.findings import Check, Finding, Level
-from hilbench.apps.doctor.machine import Lateness, MachineFacts, measure_lateness, read_machine
 
 GOOD = MachineFacts(
     clock_resolution_s=1e-9,

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from tests.cli.drives import bus, sdo
 from tests.cli.in_process import hilbench
 
+from hilbench.apps.gateway.requests import form
 from hilbench.apps.gateway.server import event_of
 from hilbench.apps.gateway.session import Session
-from hilbench.apps.gateway.values import form
 from hilbench.can.frame import Frame
 from hilbench.errors import BusError
 

@@ -11,9 +11,8 @@ import pytest
 from tests.cli.in_process import hilbench
 from tests.library.made_runs import criterion, made_run
 
-from hilbench.apps.library.matrix import Requirement, matrix_of
+from hilbench.apps.library.matrix import Requirement, matrix_of, read_reqif
 from hilbench.apps.library.query import Library
-from hilbench.apps.library.specification import read_reqif
 from hilbench.errors import UnusableInputError
 from hilbench.results.junit import write_junit
 from hilbench.results.result import Fault, Result, Timing

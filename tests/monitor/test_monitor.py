@@ -18,11 +18,9 @@ from textual.widgets._footer import FooterKey
 
 from hilbench.apps.monitor import condition
 from hilbench.apps.monitor import picture as picture_of
-from hilbench.apps.monitor.changes import ChangeRequests, Foreseen
+from hilbench.apps.monitor.changes import ChangeRequests, Foreseen, OperatorJournal
 from hilbench.apps.monitor.dashboard import Dashboard
-from hilbench.apps.monitor.operator_journal import OperatorJournal
-from hilbench.apps.monitor.picture import BusPicture
-from hilbench.apps.monitor.trends import trends_of
+from hilbench.apps.monitor.picture import BusPicture, trends_of
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus, MemoryLink

@@ -11,7 +11,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from hilbench.apps.pages.access import Access
 from hilbench.apps.pages.runs import routes
-from hilbench.apps.pages.site import site
+from hilbench.apps.pages.server import site
 
 PORT = 8321
 HERE = f"http://127.0.0.1:{PORT}"

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from hilbench.apps.pages.live.forecast_bands import courses
+from hilbench.apps.pages.live.controls import courses
 from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 
 SPIKE = 640

@@ -17,9 +17,9 @@ from tests.pages.told_samples import keep
 
 from hilbench.apps.pages import replay
 from hilbench.apps.pages.access import Access
-from hilbench.apps.pages.live.replay import FAST, PlayedTrace
+from hilbench.apps.pages.replay import FAST, PlayedTrace
 from hilbench.apps.pages.runs import routes
-from hilbench.apps.pages.site import site
+from hilbench.apps.pages.server import site
 from hilbench.canopen.identifiers import SYNC
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome

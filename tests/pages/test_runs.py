@@ -12,7 +12,7 @@ from starlette.testclient import TestClient
 
 from hilbench.apps.pages.access import Access
 from hilbench.apps.pages.runs import routes
-from hilbench.apps.pages.site import site
+from hilbench.apps.pages.server import site
 from hilbench.results.result import Fault, Result, Timing
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.criteria import CriterionResult

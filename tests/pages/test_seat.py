@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hilbench.apps.pages.live.control_lock import IDLE_S, LOST_S, ControlLock
+from hilbench.apps.pages.live.controls import IDLE_S, LOST_S, ControlLock
 
 
 class Clock:

@@ -20,7 +20,7 @@ from hilbench.apps.pages.access import Access
 from hilbench.apps.pages.live.controls import Controls
 from hilbench.apps.pages.live.listener import Listener
 from hilbench.apps.pages.live.viewer import Viewers
-from hilbench.apps.pages.site import site
+from hilbench.apps.pages.server import site
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus, MemoryLink
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hilbench.apps.conformance.page import shown, write_conformance_page
 from hilbench.apps.conformance.record import CaseResult, Examination, Step, Verdict
+from hilbench.apps.conformance.reports import shown, write_conformance_page
 
 
 def step(number: int, *, ok: bool) -> Step:

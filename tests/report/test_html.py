@@ -20,7 +20,7 @@ from tests.cli.in_process import hilbench
 from tests.report.parsed import EVIL, ParsedPage, parsed
 from tests.runs.shafts import recorded_shaft
 
-from hilbench.apps.report import live
+from hilbench.apps.report import page as report_page
 from hilbench.apps.report.chart import BLUE, Band, Chart, Curve, Mark
 from hilbench.apps.report.html import write_report
 from hilbench.apps.report.plots import Picture, drawn
@@ -113,7 +113,7 @@ def test_nothing_comes_from_outside_and_nothing_else_runs(report: Path) -> None:
     assert re.findall(r"url\((?!#)", re.sub(r"<script.*?</script>", "", source, flags=re.DOTALL)) == []
     data, *code = page.scripts
     json.loads(data)
-    assert tuple(code) == live.scripts()
+    assert tuple(code) == report_page.scripts()
     (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]*)"', source)
     hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in code]
     assert policy == "default-src 'none'; style-src 'unsafe-inline'; script-src " + " ".join(
@@ -276,7 +276,7 @@ def test_a_band_is_shown_whole_unless_the_curves_could_not_be_read(spread: float
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js")
 def test_the_labels_of_ticks_say_where_the_ticks_are() -> None:
-    source = Path(live.__file__).with_name("axes.js").read_text(encoding="utf-8")
+    source = Path(report_page.__file__).with_name("axes.js").read_text(encoding="utf-8")
     ask = """
     const ask = (values, step) => window.axes.ticks(null, values, 0, 0, step).join(" ");
     console.log([ask([2.5, 5, 7.5], 2.5), ask([0.25, 0.5], 0.25), ask([0, 20], 20), ask([0.1, 0.3], 0.1)].join("|"));

@@ -11,7 +11,7 @@ from tests.report.parsed import EVIL, parsed
 
 from hilbench.apps.compare.page import ComparedRun, write_compare_page
 from hilbench.apps.diagnose.page import write_diagnosis_page
-from hilbench.apps.report import live
+from hilbench.apps.report import page as report_page
 from hilbench.apps.sync.page import write_comparison
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Profile, Unobservable, Value
 from hilbench.diagnosis.live import LiveGap
@@ -74,7 +74,7 @@ def test_names_from_files_are_text_and_run_nothing(write, times: int, tmp_path: 
     page = parsed(path)
     assert EVIL not in path.read_text(encoding="utf-8")
     assert page.text.count(EVIL) >= times
-    assert tuple(page.scripts[1:]) == live.scripts()
+    assert tuple(page.scripts[1:]) == report_page.scripts()
     assert not {"link", "img", "iframe", "object"} & set(page.tags)
 
 

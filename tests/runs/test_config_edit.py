@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hilbench import strict_yaml
 from hilbench.errors import UnusableInputError
-from hilbench.runs.config_edit import edited, write_value
+from hilbench.runs.config_text import edited, write_value
 
 TEXT = """\
 # a stand

@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 from tests.streams.test_streams import SIGNALS, feed
 
-from hilbench.apps.streams.messages import groups_of
+from hilbench.apps.streams.sinks import groups_of, parse_target
 from hilbench.apps.streams.stream import Stream
-from hilbench.apps.streams.target import parse_target
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.config import BenchConfig
 

@@ -21,10 +21,8 @@ from mcap.reader import make_reader
 from tests.bench.whole_runs import config, run_folders, run_here
 from tests.cli.in_process import hilbench
 
-from hilbench.apps.streams.messages import groups_of
-from hilbench.apps.streams.sinks import open_sink
+from hilbench.apps.streams.sinks import Target, groups_of, open_sink, parse_target
 from hilbench.apps.streams.stream import Stream
-from hilbench.apps.streams.target import Target, parse_target
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
@@ -177,7 +175,7 @@ _KILLED = """if True:
     from pathlib import Path
     from hilbench.runs.config import load_with_overrides
     from hilbench.apps.streams.stream import Stream
-    from hilbench.apps.streams.target import parse_target
+    from hilbench.apps.streams.sinks import parse_target
     from hilbench.topology.sample import sample_type
     folder = Path(sys.argv[1])
     bench = load_with_overrides(folder / "bench.yaml").config

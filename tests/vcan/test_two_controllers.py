@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilbench.apps.doctor.machine import measure_lateness
+from hilbench.apps.doctor.check_machine import measure_lateness
 from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder

@@ -5,9 +5,8 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from hilbench.apps.streams.sinks import open_sink
+from hilbench.apps.streams.sinks import Target, open_sink
 from hilbench.apps.streams.stream import Stream
-from hilbench.apps.streams.target import Target
 from hilbench.results.run import Recorder
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import sample_type

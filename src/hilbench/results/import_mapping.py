@@ -31,11 +31,7 @@ from hilbench.block import Block
 from hilbench.did_you_mean import did_you_mean, expected_one_of
 from hilbench.errors import UnusableInputError
 from hilbench.files import require_file
-from hilbench.results.recording import (
-    Recording,
-    check_recording,
-    read_recording,
-)
+from hilbench.results.recording import Recording, check_recording, read_recording
 from hilbench.results.text_table import MOST_COLUMNS, open_text, rest_of_text
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import example_names, find_signal, unit_of

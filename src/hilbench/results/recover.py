@@ -39,13 +39,7 @@ from hilbench.machine_kinds import machine_part
 from hilbench.results.journal import read_journal
 from hilbench.results.junit import write_junit
 from hilbench.results.mdf import MdfPieces
-from hilbench.results.recording import (
-    LEAST_SAMPLES,
-    Recording,
-    read_recording,
-    write_pieces,
-    write_recording,
-)
+from hilbench.results.recording import LEAST_SAMPLES, Recording, read_recording, write_pieces, write_recording
 from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.results.result import Environment, Fault, Result, Timing
 from hilbench.results.run_folder import RunFolder

@@ -12,12 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import (
-    Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from hilbench.bench.prediction.announcements import Announcement
 from hilbench.bench.reports.diagnosis_updates import FoundEffect, GapRow, ModelChange, part_words

@@ -24,15 +24,7 @@ from numpy.typing import NDArray
 
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.results.mdf import MdfPieces, MdfWriter
-from hilbench.results.recording import (
-    BLOCK_ROWS,
-    LEAST_SAMPLES,
-    Recording,
-    column_of,
-    read_rows,
-    read_section,
-    typed,
-)
+from hilbench.results.recording import BLOCK_ROWS, LEAST_SAMPLES, Recording, column_of, read_rows, read_section, typed
 from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.results.reduction import STRETCH_S, FullRate, Survey, thinned
 from hilbench.results.run_folder import RunFolder

@@ -7,7 +7,10 @@ What a format does not hold of a frame shows when the file that was written is r
 from __future__ import annotations
 
 import logging
+import os
 import re
+import struct
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,9 +23,17 @@ from hilbench.can.messages import to_frame, to_message
 from hilbench.can.python_can import can
 from hilbench.errors import EXIT_CRITERION_FAILED, HilbenchError, UnusableInputError
 from hilbench.files import written_whole
-from hilbench.results.blf_containers import check_containers
 from hilbench.results.trace import TraceReader
 
+#: Of one container, at most; writers begin a new one at 128 kB.
+_MOST_BYTES: Final = 100_000_000
+#: Where the size of the file's header stands, and the head of an object: signature, size with the head, type.
+_HEADER_SIZE: Final = struct.Struct("<4sL")
+_OBJECT: Final = struct.Struct("<4sHHLL")
+_CONTAINER: Final = 10
+#: What a container has before its data: method (2: zlib) and its own word on the size.
+_CONTAINER_HEAD: Final = struct.Struct("<H6xL4x")
+_ZLIB: Final = 2
 #: Suffixes that python-can reads and writes; ``.log`` is read by `TraceReader`, which says what is wrong in which line.
 FORMATS = (".log", ".asc", ".blf", ".trc")
 _BRS, _ESI = 1, 2
@@ -31,6 +42,38 @@ _BUS_ERROR = 0x80
 _SAME_TIME_S: Final = 5e-6
 #: No trace is older, so such times count from the start of the measurement.
 _NO_DATE_BEFORE_S: Final = datetime(1980, 1, 1, tzinfo=UTC).timestamp()
+
+
+def check_containers(path: Path) -> None:
+    """Raise UnusableInputError for a container that is too large when unpacked; what else is wrong a reader says."""
+    with open(path, "rb") as file:
+        head = file.read(_HEADER_SIZE.size)
+        if len(head) < _HEADER_SIZE.size:
+            return
+        file.seek(_HEADER_SIZE.unpack(head)[1])
+        while len(head := file.read(_OBJECT.size)) == _OBJECT.size:
+            signature, _, _, size, kind = _OBJECT.unpack(head)
+            left = size - _OBJECT.size
+            if signature != b"LOBJ" or left < 0:
+                return
+            if kind == _CONTAINER:
+                _check(file.read(left), path)
+            else:
+                file.seek(left, os.SEEK_CUR)
+            file.seek(size % 4, os.SEEK_CUR)
+
+
+def _check(container: bytes, path: Path) -> None:
+    if len(container) < _CONTAINER_HEAD.size or _CONTAINER_HEAD.unpack_from(container)[0] != _ZLIB:
+        return
+    try:
+        unpacked = zlib.decompressobj().decompress(container[_CONTAINER_HEAD.size :], _MOST_BYTES + 1)
+    except zlib.error:
+        return
+    if len(unpacked) > _MOST_BYTES:
+        raise UnusableInputError(
+            path, f"a container of more than {_MOST_BYTES / 1e6:g} MB when unpacked, expected at most that"
+        )
 
 
 def _ignore(_: str) -> None:

@@ -226,12 +226,7 @@ class LoadedConfig:
 
 
 def load_with_overrides(
-    path: Path,
-    *,
-    bus: str | None = None,
-    pace: str | None = None,
-    seed: int | None = None,
-    changes: Sequence[str] = (),
+    path: Path, *, bus: str | None = None, pace: str | None = None, seed: int | None = None, changes: Sequence[str] = ()
 ) -> LoadedConfig:
     """`load` with command-line overrides: `changes` are texts ``machine.web.width_m=0.6``.
 

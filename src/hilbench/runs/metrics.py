@@ -46,9 +46,7 @@ OF_RUNS: Final = {
     "realtime_factor": Metric("", "bus time over wall time", _NO_TIMING),
     "lost_frames": Metric("", "frames that reached the interface of the bench and were not read in time", _NOT_COUNTED),
     "late_samples_pct": Metric(
-        "%",
-        "cycles in which the participant that is late most often had not answered in time",
-        _NO_TIMING,
+        "%", "cycles in which the participant that is late most often had not answered in time", _NO_TIMING
     ),
     "bus_load_pct": Metric("%", "bits on the bus over its capacity", _NO_TIMING),
     "twin_refusals": Metric(

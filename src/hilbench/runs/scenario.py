@@ -90,10 +90,7 @@ class Scenario:
 
     @staticmethod
     def _smooth(
-        points: list[tuple[float, float]],
-        due: Mapping[str, list[tuple[float, float]]],
-        cycles: range,
-        cycle_s: float,
+        points: list[tuple[float, float]], due: Mapping[str, list[tuple[float, float]]], cycles: range, cycle_s: float
     ) -> NDArray[np.float64]:
         """Values of a ramp in these cycles, as long as it moves and nothing jumps."""
         jump_s = min((waiting[0][0] for waiting in due.values() if waiting), default=math.inf)

@@ -10,14 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.runs.events import STEP_SHARE, Event, open_loops
-from hilbench.runs.figures import (
-    LEAST_SETTLED_S,
-    least_stay_s,
-    settled_part,
-    stays_from,
-    still_settling,
-    trend_rms,
-)
+from hilbench.runs.figures import LEAST_SETTLED_S, least_stay_s, settled_part, stays_from, still_settling, trend_rms
 from hilbench.topology.main_quantities.quantity import MainQuantity
 
 Array = NDArray[np.float64]

@@ -15,11 +15,7 @@ from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, 
 def start_values(config: ExperimentConfig) -> dict[str, float]:
     """Values of the quantities of a shaft at the start, by path."""
     shaft = config.emulated_shaft()
-    return {
-        SPEED: 0.0,
-        SHAFT_INERTIA: shaft.inertia_kg_m2,
-        SHAFT_COULOMB_FRICTION: shaft.shaft.coulomb_friction_Nm,
-    }
+    return {SPEED: 0.0, SHAFT_INERTIA: shaft.inertia_kg_m2, SHAFT_COULOMB_FRICTION: shaft.shaft.coulomb_friction_Nm}
 
 
 def check_steps(

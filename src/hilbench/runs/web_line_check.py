@@ -160,11 +160,7 @@ def _extremes(points: dict[OperatingPoint, Location]) -> dict[OperatingPoint, Lo
         return max(true / believed for true, believed in zip(point.moduli_Pa, point.estimates_Pa, strict=True))
 
     kept: dict[OperatingPoint, Location] = {}
-    for order in (
-        stiffness_of,
-        lambda point: point.line_speed_m_s,
-        mistake,
-    ):
+    for order in (stiffness_of, lambda point: point.line_speed_m_s, mistake):
         ordered = sorted(points, key=order)
         kept |= {point: points[point] for point in (*ordered[: _MOST_POINTS // 6], *ordered[-_MOST_POINTS // 6 :])}
     return kept

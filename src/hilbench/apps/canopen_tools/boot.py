@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.options import BusOption, ForceOption, JsonOption, print_json
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_CRITERION_FAILED, EXIT_PASSED
@@ -18,10 +19,10 @@ _SDO_TIMEOUT_S = 0.3
 
 
 def boot(
-    file: Annotated[Path, typer.Argument(metavar="MASTER_DCF", help="DCF of the NMT master (1F80h ff.)")],
+    file: Annotated[Path, Argument(metavar="MASTER_DCF", help="DCF of the NMT master (1F80h ff.)")],
     bus: BusOption = None,
     timeout_s: Annotated[
-        float, typer.Option("--timeout", min=0.1, metavar="S", help="for a node to answer, where 1F89h does not tell")
+        float, Option("--timeout", min=0.1, metavar="S", help="for a node to answer, where 1F89h does not tell")
     ] = 5.0,
     json: JsonOption = False,
     force: ForceOption = False,

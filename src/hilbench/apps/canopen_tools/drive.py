@@ -13,7 +13,7 @@ from math import inf, nan, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.options import (
     BusOption,
@@ -67,10 +67,10 @@ _EXAMPLES = {Action.MOVE: "1.5 turns", Action.VELOCITY: "10 rad/s", Action.TORQU
 
 def drive(
     node: NodeArgument,
-    action: Annotated[Action, typer.Argument(metavar="ACTION", help=", ".join(Action))],
+    action: Annotated[Action, Argument(metavar="ACTION", help=", ".join(Action))],
     value: Annotated[
         str | None,
-        typer.Argument(
+        Argument(
             metavar="[VALUE]",
             help="move: rad, deg, turns; velocity: rad/s, rpm; torque: N·m; all: units (the drive's); home: its method",
         ),
@@ -79,26 +79,23 @@ def drive(
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),
     speed: Annotated[
-        float,
-        typer.Option("--speed", metavar="RAD/S", min=0.0, help="jog, move: velocity of the motor; torque: its limit"),
+        float, Option(metavar="RAD/S", min=0.0, help="jog, move: velocity of the motor; torque: its limit")
     ] = 5.0,
-    relative: Annotated[bool, typer.Option("--relative", help="move: from where it is")] = False,
+    relative: Annotated[bool, Option("--relative", help="move: from where it is")] = False,
     units: Annotated[
         list[str] | None,
-        typer.Option(
-            "--units",
+        Option(
             metavar="KEY=VALUE",
             help="position_rad, velocity_rad_s or rated_torque_Nm of a drive without objects for it; repeatable",
         ),
     ] = None,
     duration: Annotated[
         float | None,
-        typer.Option("--for", metavar="S", min=0.0, help="velocity, torque: so long", show_default="until Ctrl-C"),
+        Option("--for", metavar="S", min=0.0, help="velocity, torque: so long", show_default="until Ctrl-C"),
     ] = None,
-    timeout: Annotated[float, typer.Option("--timeout", metavar="S", min=0.1, help="longest time to a state")] = 5.0,
+    timeout: Annotated[float, Option(metavar="S", min=0.1, help="longest time to a state")] = 5.0,
     axis: Annotated[
-        int | None,
-        typer.Option("--axis", metavar="N", min=1, max=8, help="which axis of a node with several", show_default="1"),
+        int | None, Option(metavar="N", min=1, max=8, help="which axis of a node with several", show_default="1")
     ] = None,
     force: ForceOption = False,
     json: JsonOption = False,

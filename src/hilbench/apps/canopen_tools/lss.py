@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.options import BusOption, ForceOption
 from hilbench.errors import BenchFaultError, UnusableInputError
@@ -20,7 +21,7 @@ app = typer.Typer(help="Node id and bit rate of a device by LSS (CiA 305).", no_
 _BOOT_S = 5.0
 IdentityOption = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--identity",
         metavar="VENDOR:PRODUCT:REVISION:SERIAL",
         help="of the device, 1018h, decimal or hexadecimal (2Ah, 0x2A)",
@@ -28,18 +29,16 @@ IdentityOption = Annotated[
     ),
 ]
 TimeoutOption = Annotated[
-    float, typer.Option("--timeout", min=0.005, metavar="S", help="within which a device answers a request")
+    float, Option("--timeout", min=0.005, metavar="S", help="within which a device answers a request")
 ]
 
 
 @app.command("assign")
 def assign(
-    node_id: Annotated[int, typer.Argument(metavar="NODE_ID", min=1, max=127)],
+    node_id: Annotated[int, Argument(metavar="NODE_ID", min=1, max=127)],
     identity: IdentityOption = None,
-    bit_rate: Annotated[
-        int | None, typer.Option("--bit-rate", metavar="KBIT/S", help="bit rate from its next start on")
-    ] = None,
-    store: Annotated[bool, typer.Option("--store/--no-store", help="kept over a loss of power")] = True,
+    bit_rate: Annotated[int | None, Option(metavar="KBIT/S", help="bit rate from its next start on")] = None,
+    store: Annotated[bool, Option("--store/--no-store", help="kept over a loss of power")] = True,
     bus: BusOption = None,
     timeout_s: TimeoutOption = 0.1,
     force: ForceOption = False,

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 from hilbench.apps.canopen_tools.lss import unconfigured, words
 from hilbench.apps.cli.options import BusOption, ConfigOption, JsonOption, print_json
@@ -22,13 +23,11 @@ _LSS_TIMEOUT_S = 0.1
 def scan(
     config: ConfigOption = None,
     bus: BusOption = None,
-    eds: Annotated[Path, typer.Option("--eds", help="folder of EDS files that devices are compared with")] = Path(
-        "eds"
-    ),
-    listen: Annotated[float, typer.Option("--listen", min=0.0, metavar="S", help="how long to listen first")] = 1.0,
-    ask: Annotated[bool, typer.Option("--ask/--no-ask", help="ask every node id by SDO, or only listen")] = True,
+    eds: Annotated[Path, Option(help="folder of EDS files that devices are compared with")] = Path("eds"),
+    listen: Annotated[float, Option(min=0.0, metavar="S", help="how long to listen first")] = 1.0,
+    ask: Annotated[bool, Option("--ask/--no-ask", help="ask every node id by SDO, or only listen")] = True,
     lss: Annotated[
-        bool, typer.Option("--lss", help="look for devices without a node id too (LSS fastscan, 10 s for each)")
+        bool, Option("--lss", help="look for devices without a node id too (LSS fastscan, 10 s for each)")
     ] = False,
     json: JsonOption = False,
 ) -> None:

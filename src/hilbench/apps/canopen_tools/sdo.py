@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument
 
 from hilbench.apps.canopen_tools import sdo_files
 from hilbench.apps.cli.options import (
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from hilbench.canopen.sdo_client import SdoClient
 
 ObjectArgument = Annotated[
-    str, typer.Argument(metavar="OBJECT", help="6041, 6041h, 0x1018sub1, 1018:1, or a name: target_velocity")
+    str, Argument(metavar="OBJECT", help="6041, 6041h, 0x1018sub1, 1018:1, or a name: target_velocity")
 ]
 
 app = typer.Typer(help="Read or write objects of a node by SDO, one or all of them.", no_args_is_help=True)
@@ -78,9 +79,7 @@ def read(
 def write(
     node: NodeArgument,
     name: ObjectArgument,
-    value: Annotated[
-        str, typer.Argument(metavar="VALUE", help="number (0x1F too), text, or a number with its SI unit")
-    ],
+    value: Annotated[str, Argument(metavar="VALUE", help="number (0x1F too), text, or a number with its SI unit")],
     config: ConfigOption = None,
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),

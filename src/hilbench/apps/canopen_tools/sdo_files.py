@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.options import (
     SDO_TIMEOUT_S,
@@ -33,7 +34,7 @@ _FILES = (".dcf", ".eds", ".bin", ".cdcf")
 
 def dump(
     node: NodeArgument,
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="DCF to write (.dcf), or concise DCF (.bin, .cdcf)")],
+    file: Annotated[Path, Argument(metavar="FILE", help="DCF to write (.dcf), or concise DCF (.bin, .cdcf)")],
     config: ConfigOption = None,
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),
@@ -58,13 +59,11 @@ def dump(
 
 def load(
     node: NodeArgument,
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="DCF (.dcf) or concise DCF (.bin, .cdcf)")],
+    file: Annotated[Path, Argument(metavar="FILE", help="DCF (.dcf) or concise DCF (.bin, .cdcf)")],
     config: ConfigOption = None,
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),
-    store: Annotated[
-        bool, typer.Option("--store", help="let the device keep it over a loss of power (1010h sub 1)")
-    ] = False,
+    store: Annotated[bool, Option("--store", help="let the device keep it over a loss of power (1010h sub 1)")] = False,
     timeout: TimeoutOption = SDO_TIMEOUT_S,
     force: ForceOption = False,
 ) -> None:
@@ -113,13 +112,13 @@ def _store(master: Master, node_id: int, failed: Mapping[Key, str]) -> str | Non
 
 
 def diff(
-    first: Annotated[str, typer.Argument(metavar="FIRST", help="node (id, or name with --config) or file")],
-    second: Annotated[str, typer.Argument(metavar="SECOND", help="node or file")],
+    first: Annotated[str, Argument(metavar="FIRST", help="node (id, or name with --config) or file")],
+    second: Annotated[str, Argument(metavar="SECOND", help="node or file")],
     config: ConfigOption = None,
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),
     everything: Annotated[
-        bool, typer.Option("--all", help="also objects that are no settings, and those that one side lacks")
+        bool, Option("--all", help="also objects that are no settings, and those that one side lacks")
     ] = False,
     timeout: TimeoutOption = SDO_TIMEOUT_S,
     json: JsonOption = False,

@@ -11,6 +11,7 @@ from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 
 from hilbench.apps.cli.commands import Commands, commands_named
 from hilbench.exit_status import ended
@@ -24,7 +25,7 @@ def _print_version(wanted: bool) -> None:
 
 def hilbench(
     show_version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="print the version and exit")
+        bool, Option("--version", callback=_print_version, is_eager=True, help="print the version and exit")
     ] = False,
 ) -> None:
     """Hardware-in-the-loop test bench over CAN/CANopen with a synchronized twin of the machine."""

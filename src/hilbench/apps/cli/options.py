@@ -5,49 +5,40 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
-ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="bench config (YAML)")]
+ConfigArgument = Annotated[Path, Argument(metavar="CONFIG", help="bench config (YAML)")]
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", help="bench config (YAML): names of the nodes, their EDS files, the bus")
+    Path | None, Option("--config", help="bench config (YAML): names of the nodes, their EDS files, the bus")
 ]
 BusOption = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--bus",
         help="embedded:NAME, socketcan:vcan0, or another python-can interface:channel; embedded alone is the bus of "
         "the config's folder or, without a config, the only one that runs",
     ),
 ]
-PaceOption = Annotated[str | None, typer.Option("--pace", help="lockstep or realtime")]
+PaceOption = Annotated[str | None, Option("--pace", help="lockstep or realtime")]
 PacedByOption = Annotated[
-    str,
-    typer.Option("--pace", help="realtime: by the clock; lockstep: by SYNC of a bench in lockstep"),
+    str, Option("--pace", help="realtime: by the clock; lockstep: by SYNC of a bench in lockstep")
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="another value in the config, e.g. machine.web.width_m=0.6; repeatable"
-    ),
+    Option("--set", metavar="KEY=VALUE", help="another value in the config, e.g. machine.web.width_m=0.6; repeatable"),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="print JSON on standard output, nothing else")]
+JsonOption = Annotated[bool, Option("--json", help="print JSON on standard output, nothing else")]
 EdsOption = Annotated[
-    Path, typer.Option("--eds", help="EDS file, or folder in which that of the device is found by its identity")
+    Path, Option("--eds", help="EDS file, or folder in which that of the device is found by its identity")
 ]
-NodeArgument = Annotated[str, typer.Argument(metavar="NODE", help="node id, or with --config its name: axis1, bench")]
+NodeArgument = Annotated[str, Argument(metavar="NODE", help="node id, or with --config its name: axis1, bench")]
 ForceOption = Annotated[
-    bool,
-    typer.Option(
-        "--force",
-        help="also with another master on the bus (a running bench, foreign SYNC or NMT)",
-    ),
+    bool, Option("--force", help="also with another master on the bus (a running bench, foreign SYNC or NMT)")
 ]
 #: Where no --timeout is given, s.
 SDO_TIMEOUT_S = 1.0
-TimeoutOption = Annotated[
-    float, typer.Option("--timeout", metavar="S", min=0.01, help="for the answer to each SDO request")
-]
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="run folder")]
+TimeoutOption = Annotated[float, Option("--timeout", metavar="S", min=0.01, help="for the answer to each SDO request")]
+RunArgument = Annotated[Path, Argument(metavar="RUN", help="run folder")]
 
 
 def print_json(data: object, *, ensure_ascii: bool = True) -> None:

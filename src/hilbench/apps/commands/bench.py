@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import BusOption, ConfigArgument, JsonOption, PacedByOption, PaceOption, SetOption
@@ -16,43 +17,42 @@ def run(
     config: ConfigArgument,
     bus: BusOption = None,
     pace: PaceOption = None,
-    out: Annotated[Path, typer.Option("--out", help="folder in which the run folder is made")] = Path("runs"),
-    seed: Annotated[int | None, typer.Option("--seed", help="seed of every random number of the run")] = None,
+    out: Annotated[Path, Option(help="folder in which the run folder is made")] = Path("runs"),
+    seed: Annotated[int | None, Option(help="seed of every random number of the run")] = None,
     changes: SetOption = None,
     start: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--start/--no-start", help="start simulated hardware and twin, or use those that run on the bus already"
         ),
     ] = True,
     in_process: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--in-process",
             help="simulated hardware and twin in this process: the same frames and recording, faster, but on no bus: "
             "no monitor receives them; in real time they wait for SYNC, and no answer comes late",
         ),
     ] = False,
     report: Annotated[
-        bool, typer.Option("--report/--no-report", help="write report.html; hilbench report writes it later as well")
+        bool, Option("--report/--no-report", help="write report.html; hilbench report writes it later as well")
     ] = True,
     json: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--json",
             help="print one JSON object on standard output, nothing else: run folder, files, exit code, result",
         ),
     ] = False,
     force: Annotated[
-        bool, typer.Option("--force", help="run although another master is on the bus (not with another hilbench)")
+        bool, Option("--force", help="run although another master is on the bus (not with another hilbench)")
     ] = False,
     require_criteria: Annotated[
-        bool, typer.Option("--require-criteria", help="exit code 1 where no criterion judges the run")
+        bool, Option("--require-criteria", help="exit code 1 where no criterion judges the run")
     ] = False,
     stream: Annotated[
         list[str] | None,
-        typer.Option(
-            "--stream",
+        Option(
             metavar="TARGET",
             help="samples as they come: FILE.mcap, foxglove, plotjuggler or mqtt (:HOST:PORT); repeatable",
         ),
@@ -169,8 +169,7 @@ def twin(
 
 def estop(
     bus: Annotated[
-        list[str] | None,
-        typer.Option("--bus", help="bus to stop, can be given more than once; without it everything on this machine"),
+        list[str] | None, Option(help="bus to stop, can be given more than once; without it everything on this machine")
     ] = None,
 ) -> None:
     """Emergency stop: every device on the bus stops at once, and the bench ends in the safe state (exit code 3).
@@ -188,9 +187,7 @@ def estop(
     raise typer.Exit(estop_command(bus))
 
 
-def recover(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="folder of a run that was cut off")],
-) -> None:
+def recover(run_folder: Annotated[Path, Argument(metavar="RUN", help="folder of a run that was cut off")]) -> None:
     """Rebuild what a run that was cut off could not write (recording, result, report) from its trace.
 
     Nothing that is there already is overwritten.

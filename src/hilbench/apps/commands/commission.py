@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
+from typer import Option
 
 from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import (
@@ -36,18 +37,18 @@ def commission(
     config: ConfigArgument,
     bus: BusOption = None,
     pace: PaceOption = None,
-    out: Annotated[Path, typer.Option("--out", help="folder in which the run folder is made")] = Path("runs"),
+    out: Annotated[Path, Option(help="folder in which the run folder is made")] = Path("runs"),
     changes: SetOption = None,
     forward_only: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--forward-only",
             help="never turn back: dry friction and torque offset are tied then, and known as little as before",
         ),
     ] = False,
     known_pct: Annotated[
         float,
-        typer.Option(
+        Option(
             "--modulus-known",
             min=0.01,
             max=100.0,
@@ -55,9 +56,9 @@ def commission(
             help="standard deviation of E, %: what is tied with E is known no better",
         ),
     ] = 20.0,
-    yes: Annotated[bool, typer.Option("--yes", help="move real drives without asking")] = False,
+    yes: Annotated[bool, Option("--yes", help="move real drives without asking")] = False,
     in_process: Annotated[
-        bool, typer.Option("--in-process", help="simulated hardware and twin in this process, as of run")
+        bool, Option("--in-process", help="simulated hardware and twin in this process, as of run")
     ] = False,
     json: JsonOption = False,
     force: ForceOption = False,
@@ -118,13 +119,7 @@ def commission(
 
 
 def _measured(
-    loaded: LoadedConfig,
-    out: Path,
-    progress: ProgressDisplay,
-    known_pct: float,
-    *,
-    in_process: bool,
-    force: bool,
+    loaded: LoadedConfig, out: Path, progress: ProgressDisplay, known_pct: float, *, in_process: bool, force: bool
 ) -> tuple[RunFolder, list[Commissioned]]:
     """Run the plan and fit its recording. Raises as `hilbench.diagnosis.live.run_bench`."""
     from hilbench.bench.lifecycle.participants import Participants

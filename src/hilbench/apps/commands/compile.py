@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 import hilbench
 
@@ -16,9 +16,7 @@ _PACKAGE = Path(str(hilbench.__file__)).parent
 
 
 def compile_entry_points(
-    jobs: Annotated[
-        int | None, typer.Option("--jobs", min=1, metavar="N", help="so many processes", show_default="one a core")
-    ] = None,
+    jobs: Annotated[int | None, Option(min=1, metavar="N", help="so many processes", show_default="one a core")] = None,
 ) -> None:
     """Compile what Python calls of compiled functions, where that has not been done since the last change.
 

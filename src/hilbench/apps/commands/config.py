@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from hilbench.apps.commands.new_bench import servo_axis, web_line
-from hilbench.apps.commands.new_bench.machine import NewBench, Place, Suggested
+from hilbench.apps.commands.new_bench import SERVO_AXIS, WEB_LINE, NewBench, Place, Suggested
 from hilbench.errors import UnusableInputError
 from hilbench.files import write_whole
 from hilbench.plant.effect import MachineKind
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Help with config files: JSON Schema for editors, a new config.", no_args_is_help=True)
 
+#: What nobody is asked for, by kind of machine.
+_GIVEN = Path(__file__).with_name("new_benches")
 #: A question, the place of its answer, what is suggested.
 Question = tuple[str, Place, Suggested]
 
@@ -30,13 +32,11 @@ _QUESTIONS: tuple[Question, ...] = (
     ("pace (lockstep: reproducible; realtime: by the wall clock)", ("pace",), "lockstep"),
     ("cycle time in s", ("cycle_time_s",), 0.002),
 )
-_OF_KIND: Mapping[MachineKind, NewBench] = {MachineKind.WEB_LINE: web_line.NEW, MachineKind.SERVO_AXIS: servo_axis.NEW}
+_OF_KIND: Mapping[MachineKind, NewBench] = {MachineKind.WEB_LINE: WEB_LINE, MachineKind.SERVO_AXIS: SERVO_AXIS}
 
 
 @app.command()
-def schema(
-    out: Annotated[Path | None, typer.Option("--out", help="file; standard output without it")] = None,
-) -> None:
+def schema(out: Annotated[Path | None, Option(help="file; standard output without it")] = None) -> None:
     """Write the JSON Schema of a bench config, with which an editor completes and checks keys.
 
     In the config's first line: # yaml-language-server: $schema=bench.schema.json
@@ -56,17 +56,16 @@ def schema(
 
 @app.command()
 def new(
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="config to write; must not exist")],
+    path: Annotated[Path, Argument(metavar="FILE", help="config to write; must not exist")],
     eds: Annotated[
         Path | None,
-        typer.Option(
-            "--eds",
+        Option(
             help="folder with the EDS files of the simulated devices",
             show_default="eds; those of hilbench are copied there if need be",
         ),
     ] = None,
-    kind: Annotated[MachineKind, typer.Option("--kind", help="of the machine")] = MachineKind.WEB_LINE,
-    defaults: Annotated[bool, typer.Option("--defaults", help="ask nothing: what would be suggested")] = False,
+    kind: Annotated[MachineKind, Option(help="of the machine")] = MachineKind.WEB_LINE,
+    defaults: Annotated[bool, Option("--defaults", help="ask nothing: what would be suggested")] = False,
 ) -> None:
     """Configuration wizard: write a checked bench of simulated drives, with a comment at every key that needs one.
 
@@ -85,9 +84,8 @@ def new(
     if not path.absolute().parent.is_dir():
         raise UnusableInputError(path, f"no folder {path.parent}, expected one to write into")
     new_bench = _OF_KIND[kind]
-    document = _with_nodes(strict_yaml.Document(path, {}, {}), new_bench, eds)
-    for location, value in new_bench.given.items():
-        document = document.with_value(location, value, str(path))
+    given = strict_yaml.load(_GIVEN / f"{kind}.yaml").data
+    document = _with_eds(strict_yaml.Document(path, given, {(): str(path)}), new_bench, eds)
     questions, answered = (*_QUESTIONS, *new_bench.questions), set[Place]()
     document = _with_suggestions(document, new_bench, questions, answered)
     while True:
@@ -105,21 +103,30 @@ def new(
     print(f"{path}: usable; run it with: hilbench run {path}")
 
 
-def _with_nodes(document: Document, new_bench: NewBench, eds: Path | None) -> Document:
-    """The document with its nodes and their EDS files, of the folder that was given."""
+def _with_eds(document: Document, new_bench: NewBench, eds: Path | None) -> Document:
+    """The document with the EDS files of its nodes, of the folder that was given."""
     from hilbench.runs.examples import EDS, copy_eds
 
-    files = {place: new_bench.virtual_io if place[0] == "twin" else "hilbench_servo.eds" for place in new_bench.nodes}
+    files = {
+        place: new_bench.virtual_io if place[0] == "twin" else "hilbench_servo.eds" for place in _nodes(document.data)
+    }
     if eds is None:
         eds = Path(EDS)
         copy_eds(sorted(set(files.values())), Path())
-    for place, node_id in new_bench.nodes.items():
-        file = eds / files[place]
-        if not file.is_file():
+    for place, name in files.items():
+        if not (file := eds / name).is_file():
             raise UnusableInputError("--eds", f"no file {file}, expected the folder with the devices' EDS files")
-        for key, value in (("node_id", node_id), ("eds", str(file.resolve()))):
-            document = document.with_value((*place, key), value, "--eds")
+        document = document.with_value((*place, "eds"), str(file.resolve()), "--eds")
     return document
+
+
+def _nodes(data: Mapping[str, Any], at: Place = ()) -> Iterator[Place]:
+    """Places of the nodes in a config."""
+    if "node_id" in data:
+        yield at
+    for key, below in data.items():
+        if isinstance(below, Mapping):
+            yield from _nodes(below, (*at, key))
 
 
 def _with_suggestions(

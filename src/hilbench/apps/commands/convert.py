@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.options import ConfigArgument
 from hilbench.errors import UnusableInputError
@@ -13,16 +13,13 @@ from hilbench.files import write_whole
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="FROM", help="recording (.mf4, .csv, .parquet) or trace (.log, …)")],
-    target: Annotated[
-        Path, typer.Argument(metavar="TO", help="recording (or .mcap), or trace (.log, .asc, .blf, .trc)")
-    ],
+    source: Annotated[Path, Argument(metavar="FROM", help="recording (.mf4, .csv, .parquet) or trace (.log, …)")],
+    target: Annotated[Path, Argument(metavar="TO", help="recording (or .mcap), or trace (.log, .asc, .blf, .trc)")],
     columns: Annotated[
-        Path | None,
-        typer.Option("--columns", metavar="FILE", help="mapping file (YAML): which column of another machine is what"),
+        Path | None, Option(metavar="FILE", help="mapping file (YAML): which column of another machine is what")
     ] = None,
     allow_loss: Annotated[
-        bool, typer.Option("--allow-loss", help="of a trace: write it although the format does not hold all of it")
+        bool, Option("--allow-loss", help="of a trace: write it although the format does not hold all of it")
     ] = False,
 ) -> None:
     """Write a recording or a trace in another format; bring a recording of another machine in.
@@ -75,8 +72,7 @@ def _is_same_file(one: Path, other: Path) -> bool:
 
 
 def dbc(
-    config: ConfigArgument,
-    out: Annotated[Path | None, typer.Option("--out", help="file; standard output without it")] = None,
+    config: ConfigArgument, out: Annotated[Path | None, Option(help="file; standard output without it")] = None
 ) -> None:
     """Write the PDO set of a bench as a DBC file, with SI units, for tools that decode the bus.
 

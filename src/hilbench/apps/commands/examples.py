@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 
 def examples(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME]...", help="examples to copy; without one they are listed")
+        list[str] | None, Argument(metavar="[NAME]...", help="examples to copy; without one they are listed")
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="copy all of them")] = False,
+    everything: Annotated[bool, Option("--all", help="copy all of them")] = False,
 ) -> None:
     """List example configs, or copy some with their EDS files to bench_configs/ and eds/ in this folder.
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from hilbench.errors import UnusableInputError
 
@@ -17,16 +18,15 @@ app = typer.Typer(help="machines as FMUs (FMI 2 and 3, co-simulation)", no_args_
 
 @app.command()
 def export(
-    machine: Annotated[Path, typer.Option("--machine", metavar="CONFIG", help="bench config or model file")],
-    output: Annotated[Path, typer.Option("--output", metavar="FILE.fmu", help="the file to write")],
+    machine: Annotated[Path, Option(metavar="CONFIG", help="bench config or model file")],
+    output: Annotated[Path, Option(metavar="FILE.fmu", help="the file to write")],
     drive: Annotated[
-        bool, typer.Option("--drive", help="with the control loops of its drives: speeds go in, not torques")
+        bool, Option("--drive", help="with the control loops of its drives: speeds go in, not torques")
     ] = False,
     load: Annotated[
-        bool,
-        typer.Option("--load", help="what load motors emulate of it: speeds go in, torques come out"),
+        bool, Option("--load", help="what load motors emulate of it: speeds go in, torques come out")
     ] = False,
-    fmi: Annotated[int, typer.Option("--fmi", min=2, max=3, help="version of FMI")] = 3,
+    fmi: Annotated[int, Option(min=2, max=3, help="version of FMI")] = 3,
 ) -> None:
     """Write a machine as an FMU that needs neither hilbench nor Python where it runs.
 
@@ -62,7 +62,7 @@ def _exported(path: Path, *, drive: bool, load: bool) -> ExportedMachine:
 
 
 @app.command()
-def show(file: Annotated[Path, typer.Argument(metavar="FILE.fmu", help="an FMU")]) -> None:
+def show(file: Annotated[Path, Argument(metavar="FILE.fmu", help="an FMU")]) -> None:
     """Say what an FMU is and which variables it has, as a config names them.
 
     Example: hilbench fmu show web.fmu

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.options import BusOption, ForceOption, JsonOption, print_json
 from hilbench.errors import UnusableInputError
@@ -19,16 +19,14 @@ if TYPE_CHECKING:
 
 
 def replay(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="run folder, or a trace (.log, .asc, .blf, .trc)")],
+    run: Annotated[Path, Argument(metavar="RUN", help="run folder, or a trace (.log, .asc, .blf, .trc)")],
     bus: BusOption = None,
-    twin: Annotated[bool, typer.Option("--twin", help="run the twin over the recording instead")] = False,
-    method: Annotated[str | None, typer.Option("--method", help="--twin: another synchronizer than the run's")] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="--twin: recording (.mf4, .csv) with the new twin's signals")
-    ] = None,
-    speed: Annotated[float, typer.Option("--speed", help="so many times as fast as it was")] = 1.0,
+    twin: Annotated[bool, Option("--twin", help="run the twin over the recording instead")] = False,
+    method: Annotated[str | None, Option(help="--twin: another synchronizer than the run's")] = None,
+    out: Annotated[Path | None, Option(help="--twin: recording (.mf4, .csv) with the new twin's signals")] = None,
+    speed: Annotated[float, Option(help="so many times as fast as it was")] = 1.0,
     commands: Annotated[
-        bool, typer.Option("--commands/--no-commands", help="send NMT, SYNC, RPDOs and SDO requests too: nodes obey")
+        bool, Option("--commands/--no-commands", help="send NMT, SYNC, RPDOs and SDO requests too: nodes obey")
     ] = False,
     force: ForceOption = False,
     json: JsonOption = False,

@@ -92,8 +92,8 @@ def _streams(targets: Sequence[str], config: BenchConfig) -> Iterator[Sequence[S
     if not targets:
         yield []
         return
+    from hilbench.apps.streams.sinks import parse_target
     from hilbench.apps.streams.stream import streams_to
-    from hilbench.apps.streams.target import parse_target
 
     with streams_to([parse_target(each) for each in targets], config) as streams:
         yield streams

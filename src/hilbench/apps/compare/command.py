@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.options import JsonOption, print_json
 
 
 def compare(
-    given: Annotated[list[str], typer.Argument(metavar="RUN RUN...", help="run folders, names in --runs, or last")],
-    out: Annotated[Path | None, typer.Option("--out", help="page with the signals in one picture each (HTML)")] = None,
-    runs: Annotated[Path, typer.Option("--runs", metavar="DIR", help="folder with the run folders")] = Path("runs"),
+    given: Annotated[list[str], Argument(metavar="RUN RUN...", help="run folders, names in --runs, or last")],
+    out: Annotated[Path | None, Option(help="page with the signals in one picture each (HTML)")] = None,
+    runs: Annotated[Path, Option(metavar="DIR", help="folder with the run folders")] = Path("runs"),
     json: JsonOption = False,
 ) -> None:
     """Compare runs: how their metrics differ from the first one's, and their signals in one picture.

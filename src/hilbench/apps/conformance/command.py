@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
 from hilbench.apps.cli.options import ForceOption, JsonOption, print_json
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, UnusableInputError
@@ -20,26 +21,22 @@ _FAILED_STEPS_SHOWN = 5
 
 
 def conformance(
-    bus: Annotated[str, typer.Option("--bus", help="embedded:NAME, socketcan:can0, or another interface:channel")],
-    node: Annotated[int, typer.Option("--node", min=1, max=127, help="node id of the device")],
-    eds: Annotated[Path, typer.Option("--eds", help="EDS or DCF file of the device")],
+    bus: Annotated[str, Option(help="embedded:NAME, socketcan:can0, or another interface:channel")],
+    node: Annotated[int, Option(min=1, max=127, help="node id of the device")],
+    eds: Annotated[Path, Option(help="EDS or DCF file of the device")],
     allow_motion: Annotated[
-        bool, typer.Option("--allow-motion", help="power stage on, motor at 60 rpm and less; outputs are written")
+        bool, Option("--allow-motion", help="power stage on, motor at 60 rpm and less; outputs are written")
     ] = False,
     allow_store: Annotated[
-        bool, typer.Option("--allow-store", help="1010h and 1011h are used; what was stored is stored again afterwards")
+        bool, Option("--allow-store", help="1010h and 1011h are used; what was stored is stored again afterwards")
     ] = False,
-    only: Annotated[
-        list[str] | None, typer.Option("--only", metavar="GROUP", help="SDO, PDO, Option codes, …; repeatable")
-    ] = None,
-    junit: Annotated[
-        Path | None, typer.Option("--junit", metavar="FILE", help="write the verdicts as JUnit XML")
-    ] = None,
+    only: Annotated[list[str] | None, Option(metavar="GROUP", help="SDO, PDO, Option codes, …; repeatable")] = None,
+    junit: Annotated[Path | None, Option(metavar="FILE", help="write the verdicts as JUnit XML")] = None,
     html: Annotated[
-        Path | None, typer.Option("--html", metavar="FILE", help="write a page: each case, sent, expected and seen")
+        Path | None, Option(metavar="FILE", help="write a page: each case, sent, expected and seen")
     ] = None,
     boot: Annotated[
-        float, typer.Option("--boot", metavar="S", min=0.1, help="longest time from a reset to the boot-up message")
+        float, Option(metavar="S", min=0.1, help="longest time from a reset to the boot-up message")
     ] = 10.0,
     force: ForceOption = False,
     json: JsonOption = False,
@@ -57,13 +54,13 @@ def conformance(
     """
     from rich.console import Console
 
-    from hilbench.apps.conformance.junit import write_junit
+    from hilbench.apps.conformance.reports import write_junit
 
     examination = _examined(bus, node, eds, allow_motion, allow_store, only or [], boot, force, quiet=json)
     if junit is not None:
         write_junit(examination, junit)
     if html is not None:
-        from hilbench.apps.conformance.page import write_conformance_page
+        from hilbench.apps.conformance.reports import write_conformance_page
 
         write_conformance_page(examination, html)
     if json:
@@ -141,7 +138,7 @@ class _Display:
     def _print(self) -> None:
         from rich.markup import escape
 
-        from hilbench.apps.conformance.page import counted
+        from hilbench.apps.conformance.reports import counted
 
         if sys.stderr.isatty():
             print(f"\r{'':<40}\r", end="", file=sys.stderr, flush=True)
@@ -165,8 +162,8 @@ class _Display:
 def _sum_up(console: Console, examination: Examination, written: list[Path]) -> None:
     from rich.markup import escape
 
-    from hilbench.apps.conformance.page import counted
     from hilbench.apps.conformance.record import Verdict
+    from hilbench.apps.conformance.reports import counted
 
     verdict = "[red]failed[/]" if examination.failed else "[green]passed[/]"
     counts = counted(case.verdict for case in examination.cases)

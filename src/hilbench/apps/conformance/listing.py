@@ -12,29 +12,21 @@ from pathlib import Path
 from typing import Final
 
 from hilbench.apps.conformance import (
-    drive_mode_cases,
-    drive_option_cases,
-    drive_state_cases,
-    emcy_cases,
-    heartbeat_cases,
-    nmt_cases,
+    drive_cases,
     od_cases,
     pdo_cases,
     power,
     process_data,
     sdo_cases,
+    service_cases,
     steps,
-    store_cases,
-    sync_cases,
 )
 from hilbench.apps.conformance.actions import Action, register
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.block import Strict
 from hilbench.strict_yaml import load, validate
 
-register(power, process_data, steps)
-register(sdo_cases, pdo_cases, od_cases, emcy_cases, sync_cases, heartbeat_cases, store_cases, nmt_cases)
-register(drive_state_cases, drive_option_cases, drive_mode_cases)
+register(power, process_data, steps, sdo_cases, pdo_cases, od_cases, service_cases, drive_cases)
 
 _FOLDER: Final = Path(__file__).parent / "cases"
 #: The files in the order in which their cases are examined.

@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 from hilbench.apps.conformance.description import REFUSE_READ, REFUSE_WRITE, Entry
 from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text, taken_text
-from hilbench.apps.conformance.record import NotApplicableError
+from hilbench.apps.conformance.record import NotApplicableError, some
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import variable
 from hilbench.canopen.object_store import (
@@ -66,9 +66,7 @@ def _is_number_of_a_real(dut: DeviceUnderTest, warning: str) -> bool:
 def access(dut: DeviceUnderTest, area: _Area) -> None:
     """Reading gives data of the object's length; what is writable takes them back."""
     first, last = _AREAS[area]
-    found = list(dut.eds.entries(first, last))
-    if not found:
-        raise NotApplicableError(f"no object of {first:04X}h to {last:04X}h is in the EDS file")
+    found = some(list(dut.eds.entries(first, last)), f"no object of {first:04X}h to {last:04X}h is in the EDS file")
     if area == "communication":
         _open_pdos(dut)
     for entry in found:
@@ -210,9 +208,7 @@ def _is_of_type(entry: Entry, value: int) -> bool:
 def write_back(dut: DeviceUnderTest) -> None:
     """A value that was read is accepted when written back."""
     found = [e for e in dut.eds.entries(*_AREAS["device"]) if e.writable and not e.flags & (REFUSE_WRITE | REFUSE_READ)]
-    if not found:
-        raise NotApplicableError("no object from 2000h on can be written by the EDS file")
-    for entry in found:
+    for entry in some(found, "no object from 2000h on can be written by the EDS file"):
         data = dut.peek(*entry.key)
         if not isinstance(data, bytes):
             dut.check(f"read {entry}", "data", answer_text(data), False)

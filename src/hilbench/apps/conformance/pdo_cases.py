@@ -19,9 +19,9 @@ from hilbench.apps.conformance.process_data import (
     set_up,
     transmit_pdo,
 )
-from hilbench.apps.conformance.record import NotApplicableError
+from hilbench.apps.conformance.record import NotApplicableError, some
 from hilbench.apps.conformance.steps import read_if_there
-from hilbench.apps.conformance.wire import ReceivedFrame, periods, steady
+from hilbench.apps.conformance.wire import ReceivedFrame
 from hilbench.can.frame import REMOTE_FLAG
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING, NO_REMOTE_REQUEST, NmtCommand
@@ -102,13 +102,6 @@ def _inhibit_time(dut: DeviceUnderTest) -> None:
     dut.check("changes within the inhibit time", f"{1000.0 * _INHIBIT_S:g} ms between frames at least", seen, ok)
 
 
-def sent_by_event_timer(dut: DeviceUnderTest) -> None:
-    """Sent every 100 ms without a change."""
-    found = dut.receive_id(dut.pdo.cob_id, 1.0)
-    ok = 9 <= len(found) <= 11 and steady(found, 0.1)
-    dut.check("event timer of 100 ms", "10 frames in 1 s, one each 100 ms", f"{len(found)} frames{periods(found)}", ok)
-
-
 def every_third_sync(dut: DeviceUnderTest, state: NmtCommand) -> None:
     """Every third SYNC, whichever the device counts from: CiA 301 leaves that open without a SYNC counter."""
     transmit_pdo(dut)
@@ -152,9 +145,7 @@ def _marks(came: list[bool]) -> str:
 def default_mapping(dut: DeviceUnderTest) -> None:
     """Mapped objects are in the file, as long as the mapping states."""
     indices = [base + number for base in (RPDO, TPDO) for number in dut.eds.pdos(base)]
-    if not indices:
-        raise NotApplicableError("no PDO is in the EDS file")
-    for index in indices:
+    for index in some(indices, "no PDO is in the EDS file"):
         for entry in mapped(dut, index):
             found, sub, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
             text = f"{found:04X}h:{sub} of {bits} bits"
@@ -213,9 +204,7 @@ def _of_each(dut: DeviceUnderTest, prepare: Callable[[DeviceUnderTest, int], int
             found.append(prepare(dut, base))
         except NotApplicableError as error:
             dut.notes.append(str(error))
-    if not found:
-        raise NotApplicableError(otherwise or dut.notes[-1])
-    return found
+    return some(found, otherwise or (dut.notes or [""])[-1])
 
 
 def _with_one_object(dut: DeviceUnderTest, base: int) -> int:
@@ -228,10 +217,8 @@ def _with_one_object(dut: DeviceUnderTest, base: int) -> int:
 def _carried(dut: DeviceUnderTest, base: int) -> list[Entry]:
     """Objects that a PDO may carry. Raises NotApplicableError for a device that has nothing of the kind."""
     found = [entry for entry in dut.eds.entries(0x2000) if _may_carry(entry, base)]
-    if not found:
-        what = "an RPDO" if base == RPDO else "a TPDO"
-        raise NotApplicableError(f"no object from 2000h on may be mapped to {what} by the EDS file")
-    return found
+    what = "an RPDO" if base == RPDO else "a TPDO"
+    return some(found, f"no object from 2000h on may be mapped to {what} by the EDS file")
 
 
 def _may_carry(entry: Entry, base: int) -> bool:
@@ -298,10 +285,9 @@ def objects_too_long(dut: DeviceUnderTest) -> None:
 def maps(dut: DeviceUnderTest, direction: _Direction, kinds: list[str], mappable: bool, taken: bool) -> None:
     """Write an entry of objects of an access type; whether it is taken."""
     found = [e for e in dut.eds.entries(0x1000) if e.access in kinds and bool(e.variable.pdo_mappable) is mappable]
-    found = [entry for entry in found if entry.mapping & 0xFF]
-    if not found:
-        may = "may" if mappable else "may not"
-        raise NotApplicableError(f"no object of access type {' or '.join(kinds)} {may} be mapped by the EDS file")
+    may = "may" if mappable else "may not"
+    why_not = f"no object of access type {' or '.join(kinds)} {may} be mapped by the EDS file"
+    found = some([entry for entry in found if entry.mapping & 0xFF], why_not)
     index = _opened(dut, _BASES[direction])
     entry = max(found, key=lambda each: each.index >= 0x6000)  # the device's profile before its maker's
     data = entry.mapping.to_bytes(4, "little")

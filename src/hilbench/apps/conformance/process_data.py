@@ -11,7 +11,7 @@ from typing import Final
 
 from hilbench.apps.conformance.description import Entry, Pdo
 from hilbench.apps.conformance.dut import DeviceUnderTest
-from hilbench.apps.conformance.record import NotApplicableError
+from hilbench.apps.conformance.record import NotApplicableError, some
 from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING, NO_REMOTE_REQUEST
 from hilbench.canopen.sdo_client import Refusal
 from hilbench.cia402.objects import CONTROLWORD, STATUSWORD
@@ -30,9 +30,7 @@ def transmit_pdo(dut: DeviceUnderTest) -> Pdo:
     found = [
         e for e in dut.eds.entries(0x2000) if e.variable.pdo_mappable and e.access in ("rw", "rwr") and e.is_integer
     ]
-    if not found:
-        raise NotApplicableError("no object that may be mapped to a TPDO can be written by the EDS file")
-    return _pdo(dut, TPDO, found[0])
+    return _pdo(dut, TPDO, some(found, "no object that may be mapped to a TPDO can be written by the EDS file")[0])
 
 
 def receive_pdo(dut: DeviceUnderTest) -> Pdo:
@@ -46,10 +44,9 @@ def receive_pdo(dut: DeviceUnderTest) -> Pdo:
         for e in dut.eds.entries(0x2000)
         if e.variable.pdo_mappable and e.writable and e.access != "rwr" and e.is_integer
     ]
-    if not found:
-        raise NotApplicableError("no object that may be mapped to an RPDO can be written by the EDS file")
-    dut.needs_motion(f"writes {found[0]}, an output")
-    return _pdo(dut, RPDO, found[0])
+    output = some(found, "no object that may be mapped to an RPDO can be written by the EDS file")[0]
+    dut.needs_motion(f"writes {output}, an output")
+    return _pdo(dut, RPDO, output)
 
 
 def _pdo(dut: DeviceUnderTest, base: int, entry: Entry) -> Pdo:
@@ -72,13 +69,7 @@ def mapped(dut: DeviceUnderTest, index: int) -> list[int]:
 
 
 def set_up(
-    dut: DeviceUnderTest,
-    kind: int,
-    *,
-    inhibit: int = 0,
-    event_ms: int = 0,
-    start: int = 0,
-    remote: bool = False,
+    dut: DeviceUnderTest, kind: int, *, inhibit: int = 0, event_ms: int = 0, start: int = 0, remote: bool = False
 ) -> None:
     """Set up the case's PDO as in CiA 301, 7.5.2.36: invalid, mapping, parameters, valid. Inhibit time in 100 µs.
 

@@ -6,6 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TypeVar
+
+Found = TypeVar("Found")
 
 
 class Verdict(StrEnum):
@@ -73,6 +76,13 @@ class Examination:
     def failed(self) -> list[CaseResult]:
         """Cases that failed."""
         return [case for case in self.cases if case.verdict is Verdict.FAILED]
+
+
+def some(found: list[Found], otherwise: str) -> list[Found]:
+    """What was found. Raises NotApplicableError, with the reason, where that is nothing."""
+    if not found:
+        raise NotApplicableError(otherwise)
+    return found
 
 
 class CaseEndedError(Exception):

@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 from hilbench.apps.conformance.actions import ABORT_CODES, AbortCode, Key
 from hilbench.apps.conformance.dut import DeviceUnderTest, aborted, multiplexed
-from hilbench.apps.conformance.record import NotApplicableError
+from hilbench.apps.conformance.record import NotApplicableError, some
 from hilbench.apps.conformance.steps import read_if_there
 from hilbench.canopen.identifiers import SDO_REQUEST
 from hilbench.canopen.object_store import INVALID_VALUE, NO_OBJECT, TOGGLE, UNKNOWN_COMMAND, WRITE_ONLY
@@ -20,10 +20,8 @@ _WITH_CRC: Final = 0x04
 
 def read_write_only(dut: DeviceUnderTest) -> None:
     """Refused, in all that the file calls write-only."""
-    found = [entry for entry in dut.eds.entries() if not entry.readable]
-    if not found:
-        raise NotApplicableError("no object is write-only in the EDS file")
-    for entry in found:
+    unreadable = [entry for entry in dut.eds.entries() if not entry.readable]
+    for entry in some(unreadable, "no object is write-only in the EDS file"):
         request = multiplexed(0x40, entry.index, entry.sub).hex()
         dut.ask(f"read {entry}", request, aborted(entry.index, entry.sub, WRITE_ONLY))
 
@@ -41,9 +39,7 @@ def wrong_length(dut: DeviceUnderTest, widths: list[int], length: int, code: Abo
     found = [
         dut.eds.entry(index) for index in areas if dut.eds.can_write(index) and dut.eds.entry(index).width in widths
     ]
-    if not found:
-        raise NotApplicableError("no object of 1000h to 1FFFh of such a length can be written by the EDS file")
-    for entry in found:
+    for entry in some(found, "no object of 1000h to 1FFFh of such a length can be written by the EDS file"):
         dut.refuses(
             f"{length} bytes to {entry}", entry.index, entry.sub, bytes(length), code, ABORT_CODES["WRONG_LENGTH"]
         )
@@ -77,15 +73,6 @@ def _fits(width: int | None, limit: int | None, step: int) -> bool:
         return False
     low = -(1 << 8 * width - 1) if limit < 0 else 0
     return low <= limit + step < 1 << (8 * width - (1 if limit < 0 else 0))
-
-
-def segmented_download(dut: DeviceUnderTest, key: Key) -> None:
-    """Two bytes in a segment."""
-    dut.touched.add(key)
-    mux = multiplexed(0, *key)[1:4].hex()
-    dut.ask("begin", f"21 {mux} 02000000", f"60 {mux} ????????")
-    dut.ask("the segment", "0b e803 0000000000", "20 ??????????????")
-    dut.reads("read it back", *key, 1000)
 
 
 def _long_text(dut: DeviceUnderTest) -> tuple[int, bytes]:

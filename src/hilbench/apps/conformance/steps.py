@@ -7,9 +7,9 @@ from typing import Literal
 
 from hilbench.apps.conformance.actions import ABORT_DIGITS, ACTIONS, AbortCode, Digits, Key
 from hilbench.apps.conformance.dut import DeviceUnderTest, aborted, multiplexed
-from hilbench.apps.conformance.record import NotApplicableError
-from hilbench.apps.conformance.wire import ReceivedFrame
-from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, SDO_ANSWER, SDO_REQUEST
+from hilbench.apps.conformance.record import NotApplicableError, some
+from hilbench.apps.conformance.wire import ReceivedFrame, periods, steady
+from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, SDO_ANSWER, SDO_REQUEST, SYNC
 from hilbench.canopen.object_store import NO_OBJECT
 
 ACTIONS.update(
@@ -71,9 +71,7 @@ def remember(dut: DeviceUnderTest, *keys: Key) -> None:
 
 def remember_area(dut: DeviceUnderTest, first: Key, last: Key, otherwise: str) -> None:
     """Values of an area. Raises NotApplicableError for a device that has nothing in it to be read."""
-    keys = [entry.key for entry in dut.eds.entries(first[0], last[0]) if entry.readable]
-    if not keys:
-        raise NotApplicableError(otherwise)
+    keys = some([entry.key for entry in dut.eds.entries(first[0], last[0]) if entry.readable], otherwise)
     dut.remembered = {key: dut.value(*key) for key in keys}
 
 
@@ -119,14 +117,44 @@ def refuse_each(dut: DeviceUnderTest, value: int, keys: list[Key], codes: list[A
             dut.refuses(f"{value} to {index:04X}h", index, sub, dut.data_of(index, sub, value), *codes)
 
 
-def ask(dut: DeviceUnderTest, what: str, request: str, *expected: str) -> None:
-    """A request, and one of the expected answers to it; in those `{NO_OBJECT}` is an abort code."""
-    dut.ask(what, request, *(each.format(**ABORT_DIGITS) for each in expected))
+def ask(dut: DeviceUnderTest, what: str, request: str, *expected: str, key: Key | None = None) -> None:
+    """A request, and one of the expected answers to it; in those `{NO_OBJECT}` is an abort code, `{mux}` the object."""
+    names = dict(ABORT_DIGITS)
+    if key is not None:
+        dut.touched.add(key)
+        names["mux"] = multiplexed(0, *key)[1:4].hex()
+    dut.ask(what, request.format(**names), *(each.format(**names) for each in expected))
 
 
 # -- frames ----------------------------------------------------------------------------------------------------
 
-_Sender = Literal["pdo", "emergency", "heartbeat"]
+_Sender = Literal["pdo", "emergency", "heartbeat", "sync"]
+
+
+def _id_of(dut: DeviceUnderTest, of: _Sender) -> int:
+    if of == "pdo":
+        return dut.pdo.cob_id
+    return SYNC if of == "sync" else dut.emergency_id if of == "emergency" else HEARTBEAT + dut.node_id
+
+
+def counts(
+    dut: DeviceUnderTest,
+    what: str,
+    of: _Sender,
+    within_s: float,
+    between: tuple[int, int],
+    expected: str,
+    seen: str,
+    period_s: float | None = None,
+    data: Digits | None = None,
+) -> None:
+    """Expect so many frames in a time, so far apart on average, with these data; of `seen` `{count}`, `{periods}` and
+    `{data}` are filled in."""
+    found = dut.receive_id(_id_of(dut, of), within_s)
+    ok = between[0] <= len(found) <= between[1] and (period_s is None or steady(found, period_s))
+    ok = ok and all(data in (None, received.data) for received in found)
+    several = ", ".join(sorted({received.data.hex() for received in found}))
+    dut.check(what, expected, seen.format(count=len(found), periods=periods(found), data=several), ok)
 
 
 def expect(dut: DeviceUnderTest, what: str, of: _Sender, within_s: float, *frames: str) -> None:
@@ -142,10 +170,7 @@ def sync(dut: DeviceUnderTest, what: str, of: _Sender, *frames: str, data: Digit
 def _expect(dut: DeviceUnderTest, what: str, found: list[ReceivedFrame], of: _Sender, frames: Sequence[str]) -> None:
     if of == "pdo":
         frames = [each.format(any="??" * dut.pdo.size) for each in frames]
-        can_id = dut.pdo.cob_id
-    else:
-        can_id = dut.emergency_id if of == "emergency" else HEARTBEAT + dut.node_id
-    dut.frames(what, found, can_id, *frames)
+    dut.frames(what, found, _id_of(dut, of), *frames)
 
 
 def send_request(dut: DeviceUnderTest, data: Digits) -> None:

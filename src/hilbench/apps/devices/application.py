@@ -8,8 +8,7 @@ from math import pi
 from typing import Final
 
 from hilbench.apps.devices.behaviour import Event
-from hilbench.apps.devices.lss import NodeIdGiven
-from hilbench.apps.devices.node import SimulatedNode
+from hilbench.apps.devices.node import NodeIdGiven, SimulatedNode
 from hilbench.can.frame import Frame
 from hilbench.hardware.plant_time import ByClock
 from hilbench.hardware.simulation import RigApplication

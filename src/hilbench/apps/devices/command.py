@@ -5,34 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 
 def simulate_drive(
-    eds: Annotated[Path, typer.Argument(metavar="EDS", help="EDS or DCF file of a CiA-402 drive")],
+    eds: Annotated[Path, Argument(metavar="EDS", help="EDS or DCF file of a CiA-402 drive")],
     node: Annotated[
-        int | None,
-        typer.Option(
-            "--node", min=1, max=127, help="node id, of the first of several", show_default="1; with --lss none"
-        ),
+        int | None, Option(min=1, max=127, help="node id, of the first of several", show_default="1; with --lss none")
     ] = None,
     bus: Annotated[
-        str, typer.Option("--bus", help="embedded:NAME, socketcan:vcan0, or another python-can interface:channel")
+        str, Option(help="embedded:NAME, socketcan:vcan0, or another python-can interface:channel")
     ] = "embedded",
-    count: Annotated[int, typer.Option("--count", min=1, max=127, help="so many drives, ids in a row")] = 1,
-    plant: Annotated[
-        Path | None, typer.Option("--plant", help="model file or config of a servo_axis: what the motor turns")
-    ] = None,
-    behaviour: Annotated[
-        Path | None, typer.Option("--behaviour", help="YAML file: switches, units, and what the drive does wrong")
-    ] = None,
+    count: Annotated[int, Option(min=1, max=127, help="so many drives, ids in a row")] = 1,
+    plant: Annotated[Path | None, Option(help="model file or config of a servo_axis: what the motor turns")] = None,
+    behaviour: Annotated[Path | None, Option(help="YAML file: switches, units, and what the drive does wrong")] = None,
     lss: Annotated[
-        bool, typer.Option("--lss", help="node ids can be given by LSS; without --node the drives wait for theirs")
+        bool, Option("--lss", help="node ids can be given by LSS; without --node the drives wait for theirs")
     ] = False,
     serial: Annotated[
         int | None,
-        typer.Option(
-            "--serial",
+        Option(
             min=0,
             max=0xFFFF_FFFF,
             help="serial number (1018h sub 4), of the first of several",

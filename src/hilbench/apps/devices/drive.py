@@ -13,8 +13,7 @@ from types import TracebackType
 from typing import Final, Self, TypeVar
 
 from hilbench.apps.devices.behaviour import OF_AN_AXIS, Behaviour, Emergency, Event, load_behaviour
-from hilbench.apps.devices.lss import NodeIdGiven, await_node_id, lss_address
-from hilbench.apps.devices.node import SimulatedNode
+from hilbench.apps.devices.node import NodeIdGiven, SimulatedNode, await_node_id, lss_address
 from hilbench.apps.devices.simulation import hosted, new_clock, simulated_axes
 from hilbench.can.adapter import PythonCanLink
 from hilbench.can.link import Link

@@ -11,8 +11,7 @@ from typing import Any
 from canopen import ObjectDictionary
 from hilbench.apps.devices.application import CYCLE_S, SAMPLE_S, DrivesApplication
 from hilbench.apps.devices.behaviour import Behaviour, RefusedWrite
-from hilbench.apps.devices.lss import SERIAL_NUMBER
-from hilbench.apps.devices.node import SimulatedNode
+from hilbench.apps.devices.node import SERIAL_NUMBER, SimulatedNode
 from hilbench.canopen.clock import Clock, MonotonicClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds, undefined_types, variable

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from math import ceil
 
 from hilbench.apps.canopen_tools.eds_match import default, identity
+from hilbench.apps.doctor.check_stations import ExpectedNode, MappedObject
 from hilbench.apps.doctor.examination import Start, Subject
-from hilbench.apps.doctor.stations import ExpectedNode, MappedObject
 from hilbench.bench.lifecycle.startup import start_children
 from hilbench.canopen.pdo import PdoMap, bit_length
 from hilbench.exchange.nodes import Nodes

@@ -1,16 +1,68 @@
-"""Check that the nodes on the bus are those of the config: pure functions of what was received."""
+"""Whether the nodes on the bus are those of the config: read by SDO, never written to, and judged."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 from hilbench.apps.doctor.findings import Check, Finding, error, ok, warning
-from hilbench.apps.doctor.stations import ExpectedNode, MappedObject, NodeAnswers
 from hilbench.canopen.listening import Received, master_at_work
-from hilbench.canopen.sdo_client import Answer, Refusal
+from hilbench.canopen.sdo_client import Answer, Refusal, SdoClient
 
+_IDENTITY_ENTRIES = 3  # vendor id, product code, revision number
 _PROFILE_MASK = 0xFFFF  # 1000h: device profile number in the low half
 _WRITE_ONLY = 0x06010001
+
+
+@dataclass(frozen=True)
+class MappedObject:
+    """An object that the bench maps into a PDO, with its length by the EDS in bits."""
+
+    index: int
+    sub: int
+    name: str
+    bits: int
+
+
+@dataclass(frozen=True)
+class ExpectedNode:
+    """A node of the config, as its EDS file has it; None where the file does not state it."""
+
+    part: str
+    node_id: int
+    eds: Path
+    ours: bool  #: `hilbench run` starts it: simulated hardware or twin
+    device_type: int | None = None
+    #: Vendor id, product code and revision: for each, what [DeviceInfo] and 1018h give (0 stands for nothing).
+    identity: tuple[frozenset[int], ...] = (frozenset(), frozenset(), frozenset())
+    mapped: tuple[MappedObject, ...] = ()
+
+    @property
+    def subject(self) -> str:
+        """Name of the node in findings."""
+        return f"{self.part.replace('_', ' ')} (node {self.node_id})"
+
+
+@dataclass(frozen=True)
+class NodeAnswers:
+    """Answers of one node; only `device_type` when it gave no answer to that."""
+
+    device_type: Answer
+    identity: tuple[Answer, ...] = ()
+    mapped: Mapping[tuple[int, int], Answer] = field(default_factory=dict)
+
+
+def ask(reader: SdoClient, node: ExpectedNode) -> NodeAnswers:
+    """Read device type, identity and the mapped objects of one node."""
+    device_type = reader.read(node.node_id, 0x1000)
+    if device_type is None:
+        return NodeAnswers(None)
+    return NodeAnswers(
+        device_type,
+        tuple(reader.read(node.node_id, 0x1018, sub) for sub in range(1, 1 + _IDENTITY_ENTRIES)),
+        {(item.index, item.sub): reader.read(node.node_id, item.index, item.sub) for item in node.mapped},
+    )
 
 
 def check_received(
@@ -20,8 +72,7 @@ def check_received(
     findings = []
     master = master_at_work(received, claimed_by, master_id)
     if master is not None:
-        advice = "end the other bench or master first; nodes are not asked meanwhile, so that nothing disturbs it"
-        findings.append(error(Check.OTHER_MASTER, bus, master, "no other master on the bus", advice))
+        findings.append(error(Check.OTHER_MASTER, bus, master))
     else:
         findings.append(ok(Check.OTHER_MASTER, bus, "none received"))
     known = {node.node_id for node in expected} | {master_id}
@@ -31,8 +82,7 @@ def check_received(
             f"node {node_id} ({' '.join(f'{cob_id:03X}h' for cob_id in sorted(ids))})"
             for node_id, ids in strangers.items()
         )
-        advice = "give it its place under drives: or load_motors: in the config, or take it off the bus"
-        findings.append(warning(Check.STRANGERS, bus, found, "only the nodes of the config", advice))
+        findings.append(warning(Check.STRANGERS, bus, found))
     else:
         findings.append(ok(Check.STRANGERS, bus, "no node that is not in the config was received"))
     return findings
@@ -51,12 +101,9 @@ def check_node(node: ExpectedNode, answers: NodeAnswers) -> list[Finding]:
 
 def _silent(node: ExpectedNode) -> Finding:
     found = "no answer to an SDO read of 1000h"
-    if node.ours:
-        command = "twin" if node.part.startswith("virtual") else "simulate-hardware"
-        advice = f"start it: hilbench {command} CONFIG (or leave out --no-start, and end what runs of the others)"
-    else:
-        advice = f"check its power, node id {node.node_id}, bit rate and cable; listen: candump -t d INTERFACE"
-    return error(Check.NODE_ANSWERS, node.subject, found, "an answer", advice)
+    command = "twin" if node.part.startswith("virtual") else "simulate-hardware"
+    problem = "node_not_started" if node.ours else ""
+    return error(Check.NODE_ANSWERS, node.subject, found, problem, command=command, node_id=node.node_id)
 
 
 def _identity(node: ExpectedNode, answers: NodeAnswers) -> Finding:
@@ -68,23 +115,15 @@ def _identity(node: ExpectedNode, answers: NodeAnswers) -> Finding:
     ]
     if node.device_type and isinstance(answers.device_type, bytes):
         found = int.from_bytes(answers.device_type, "little") & _PROFILE_MASK
-        if found != node.device_type & _PROFILE_MASK:
-            return error(
-                Check.IDENTITY,
-                node.subject,
-                f"device profile {found}",
-                f"{node.device_type & _PROFILE_MASK}, by 1000h of {node.eds.name}",
-                f"is this the device with node id {node.node_id}? Name its own EDS file in the config",
-            )
-    for name, answer, wanted, finding in checks:
-        if wanted and _number(answer) not in wanted:
-            return finding(
-                Check.IDENTITY,
-                node.subject,
-                f"{name} {_hex(answer)}",
-                f"{' or '.join(f'{value:08X}h' for value in sorted(wanted))}, by {node.eds.name}",
-                f"put the EDS file of this device and firmware in place of {node.eds.name} (eds: in the config)",
-            )
+        wanted = node.device_type & _PROFILE_MASK
+        if found != wanted:
+            values = {"wanted": wanted, "eds": node.eds.name, "node_id": node.node_id}
+            return error(Check.IDENTITY, node.subject, f"device profile {found}", "device_profile", **values)
+    for name, answer, allowed, finding in checks:
+        if allowed and _number(answer) not in allowed:
+            wanted_text = " or ".join(f"{value:08X}h" for value in sorted(allowed))
+            found_text = f"{name} {_hex(answer)}"
+            return finding(Check.IDENTITY, node.subject, found_text, wanted=wanted_text, eds=node.eds.name)
     compared = [name for name, _, wanted, _ in checks if wanted]
     text = " ".join(_hex(answer) for answer in answers.identity)
     return ok(Check.IDENTITY, node.subject, f"1018h is {text}; {', '.join(compared) or 'nothing'} given by the EDS")
@@ -110,13 +149,8 @@ def _object(node: ExpectedNode, item: MappedObject, answers: NodeAnswers) -> Fin
         found = str(answer)
     else:
         found = f"{8 * len(answer)} bits"
-    return error(
-        Check.MAPPED_OBJECTS,
-        node.subject,
-        f"{_object_name(item)} '{item.name}': {found}",
-        f"{item.bits} bits, by {node.eds.name}",
-        "use the EDS file of this firmware; a mode of operation that lacks it cannot be run on this device",
-    )
+    text = f"{_object_name(item)} '{item.name}': {found}"
+    return error(Check.MAPPED_OBJECTS, node.subject, text, bits=item.bits, eds=node.eds.name)
 
 
 def _object_name(item: MappedObject) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import BusOption, PaceOption, SetOption
@@ -13,17 +14,14 @@ from hilbench.errors import UnusableInputError
 
 
 def doctor(
-    config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="bench config (YAML)")] = None,
+    config: Annotated[Path | None, Argument(metavar="[CONFIG]", help="bench config (YAML)")] = None,
     bus: BusOption = None,
     pace: PaceOption = None,
     changes: SetOption = None,
     start: Annotated[
-        bool,
-        typer.Option("--start/--no-start", help="start simulated hardware and twin when they don't run, as run does"),
+        bool, Option("--start/--no-start", help="start simulated hardware and twin when they don't run, as run does")
     ] = True,
-    json: Annotated[
-        bool, typer.Option("--json", help="print one JSON object on standard output, nothing else")
-    ] = False,
+    json: Annotated[bool, Option("--json", help="print one JSON object on standard output, nothing else")] = False,
 ) -> None:
     """Examine machine, CAN interface and nodes; says what is wrong and what to type. Writes nothing to any device.
 

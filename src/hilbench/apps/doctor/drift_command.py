@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import BusOption, ConfigArgument, JsonOption, SetOption, print_json
@@ -21,19 +22,16 @@ def drift(
     config: ConfigArgument,
     bus: BusOption = None,
     changes: SetOption = None,
-    runs: Annotated[Path, typer.Option("--runs", help="folder with the run folders of the stand")] = Path("runs"),
+    runs: Annotated[Path, Option(help="folder with the run folders of the stand")] = Path("runs"),
     start: Annotated[
-        bool,
-        typer.Option("--start/--no-start", help="start simulated drives when none of them is there, as run does"),
+        bool, Option("--start/--no-start", help="start simulated drives when none of them is there, as run does")
     ] = True,
     in_process: Annotated[
-        bool, typer.Option("--in-process", help="simulated drives in this process, as run --in-process")
+        bool, Option("--in-process", help="simulated drives in this process, as run --in-process")
     ] = False,
     write: Annotated[
         list[str] | None,
-        typer.Option(
-            "--write", metavar="KEY", help="write a node's present value into the config, by its key; all; repeatable"
-        ),
+        Option(metavar="KEY", help="write a node's present value into the config, by its key; all; repeatable"),
     ] = None,
     json: JsonOption = False,
 ) -> None:
@@ -88,7 +86,7 @@ def drift(
 
 def _write(config: Path, found: Sequence[Drift], keys: Sequence[str]) -> list[str]:
     """Write what was asked for; returns a line for each change."""
-    from hilbench.runs.config_edit import write_value
+    from hilbench.runs.config_text import write_value
 
     possible = {each.key: each for each in found if each.write}
     for key in keys:

@@ -15,11 +15,9 @@ from pathlib import Path
 
 from hilbench.apps.canopen_tools.interface import read_interface
 from hilbench.apps.doctor.check_interface import InterfaceNeeds, check_interface
-from hilbench.apps.doctor.check_machine import MachineNeeds, check_machine
-from hilbench.apps.doctor.check_stations import check_node, check_received
+from hilbench.apps.doctor.check_machine import Lateness, MachineNeeds, check_machine, measure_lateness, read_machine
+from hilbench.apps.doctor.check_stations import ExpectedNode, ask, check_node, check_received
 from hilbench.apps.doctor.findings import Check, Finding, Level, error, ok, warning
-from hilbench.apps.doctor.machine import Lateness, measure_lateness, read_machine
-from hilbench.apps.doctor.stations import ExpectedNode, ask
 from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link, open_python_can
 from hilbench.canopen.listening import listen, present
@@ -100,15 +98,11 @@ def examine(subject: Subject, *, start: Start | None, announce: Callable[[str], 
     before = read_interface(bus.channel)
     interface = check_interface(before, before, needs)
     if any(finding.level is Level.ERROR for finding in interface):
-        return Examination([*machine, *interface, _left_alone(bus)], lateness)
+        left_alone = warning(Check.BUS, str(bus), "not used: its interface is not right", "bus_left_alone")
+        return Examination([*machine, *interface, left_alone], lateness)
     stations = _stations(subject, bus, start, announce)
     interface = check_interface(before, read_interface(bus.channel), needs)
     return Examination(machine + interface + stations, lateness)
-
-
-def _left_alone(bus: BusAddress) -> Finding:
-    advice = "put the interface right, then run hilbench doctor again"
-    return warning(Check.BUS, str(bus), "not used: its interface is not right", "findings on nodes", advice)
 
 
 def _stations(subject: Subject, bus: BusAddress, start: Start | None, announce: Callable[[str], None]) -> list[Finding]:
@@ -117,16 +111,11 @@ def _stations(subject: Subject, bus: BusAddress, start: Start | None, announce: 
         with ExitStack() as resources:
             return _on_bus(subject, bus, start, announce, resources)
     except BenchFaultError as fault:
-        advice = "the other findings may say why; else the command that the message names"
-        return [error(Check.BUS, str(bus), str(fault), "a bus that can be used", advice)]
+        return [error(Check.BUS, str(bus), str(fault))]
 
 
 def _on_bus(
-    subject: Subject,
-    bus: BusAddress,
-    start: Start | None,
-    announce: Callable[[str], None],
-    resources: ExitStack,
+    subject: Subject, bus: BusAddress, start: Start | None, announce: Callable[[str], None], resources: ExitStack
 ) -> list[Finding]:
     link = open_link(bus)
     resources.callback(link.close)

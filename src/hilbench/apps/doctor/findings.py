@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from pathlib import Path
+
+from hilbench import strict_yaml
 
 
 class Level(StrEnum):
@@ -55,16 +60,30 @@ class Finding:
     advice: str = ""
 
 
+@cache
+def _texts() -> Mapping[str, Mapping[str, str]]:
+    """What is expected, and what to do otherwise."""
+    texts: Mapping[str, Mapping[str, str]] = strict_yaml.load(Path(__file__).with_name("findings.yaml")).data
+    return texts
+
+
 def ok(check: Check, subject: str, found: str) -> Finding:
     """All is well."""
     return Finding(check, subject, Level.OK, found)
 
 
-def warning(check: Check, subject: str, found: str, expected: str, advice: str) -> Finding:
-    """A run works, but not as well or not as safely as it could."""
-    return Finding(check, subject, Level.WARNING, found, expected, advice)
+def warning(check: Check, subject: str, found: str, problem: str = "", **values: object) -> Finding:
+    """A run works, but not as well or not as safely as it could; `problem`: in `findings.yaml`, if not by the check."""
+    return _problem(Level.WARNING, check, subject, found, problem, values)
 
 
-def error(check: Check, subject: str, found: str, expected: str, advice: str) -> Finding:
+def error(check: Check, subject: str, found: str, problem: str = "", **values: object) -> Finding:
     """A run would fail, or its result could not be trusted."""
-    return Finding(check, subject, Level.ERROR, found, expected, advice)
+    return _problem(Level.ERROR, check, subject, found, problem, values)
+
+
+def _problem(
+    level: Level, check: Check, subject: str, found: str, problem: str, values: Mapping[str, object]
+) -> Finding:
+    text = _texts()[problem or check]
+    return Finding(check, subject, level, found, text["expected"].format_map(values), text["advice"].format_map(values))

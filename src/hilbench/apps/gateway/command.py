@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Option
 
 from hilbench.apps.cli.options import BusOption, ConfigOption, ForceOption
 from hilbench.errors import UnusableInputError
@@ -25,11 +25,9 @@ _PORT = 60000
 def gateway(
     config: ConfigOption = None,
     bus: BusOption = None,
-    host: Annotated[
-        str, typer.Option("--host", help="address to serve; every client that reaches it has its rights")
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="0: a free one")] = _PORT,
-    read_only: Annotated[bool, typer.Option("--read-only", help="clients may read, and change nothing")] = False,
+    host: Annotated[str, Option(help="address to serve; every client that reaches it has its rights")] = "127.0.0.1",
+    port: Annotated[int, Option(min=0, max=65535, help="0: a free one")] = _PORT,
+    read_only: Annotated[bool, Option("--read-only", help="clients may read, and change nothing")] = False,
     force: ForceOption = False,
 ) -> None:
     """Serve a bus to other programs (LabVIEW, MATLAB, a shell): CiA 309-3, the ASCII mapping, over TCP.
@@ -40,8 +38,7 @@ def gateway(
     Example: hilbench gateway --bus socketcan:can0
     """
     from hilbench.apps.canopen_tools.attach import MASTER_ID, config_and_bus
-    from hilbench.apps.gateway.network import GatewayNetwork
-    from hilbench.apps.gateway.session import Session
+    from hilbench.apps.gateway.session import GatewayNetwork, Session
     from hilbench.can.open import open_link
     from hilbench.processes import stop_request
 

@@ -7,7 +7,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.options import JsonOption, print_json
 from hilbench.errors import UnusableInputError
@@ -21,29 +21,23 @@ _WIDTH = 120
 
 def history(
     config: Annotated[
-        Path | None,
-        typer.Argument(metavar="[CONFIG]", help="bench config (YAML): its stand, history and wear_limits"),
+        Path | None, Argument(metavar="[CONFIG]", help="bench config (YAML): its stand, history and wear_limits")
     ] = None,
     file: Annotated[
-        Path | None,
-        typer.Option("--file", help="history file", show_default="the config's, or history.sqlite beside --runs"),
+        Path | None, Option(help="history file", show_default="the config's, or history.sqlite beside --runs")
     ] = None,
     stand: Annotated[
-        str | None, typer.Option("--stand", help="name of the stand", show_default="the config's, or all of the file")
+        str | None, Option(help="name of the stand", show_default="the config's, or all of the file")
     ] = None,
     limit: Annotated[
         list[str] | None,
-        typer.Option(
-            "--limit", metavar="QUANTITY=VALUE", help="a value of which it is asked when it is reached; repeatable"
-        ),
+        Option(metavar="QUANTITY=VALUE", help="a value of which it is asked when it is reached; repeatable"),
     ] = None,
-    html: Annotated[Path | None, typer.Option("--html", help="write a page with pictures")] = None,
+    html: Annotated[Path | None, Option(help="write a page with pictures")] = None,
     rebuild: Annotated[
-        bool, typer.Option("--rebuild", help="first make the history anew from the run folders in --runs")
+        bool, Option("--rebuild", help="first make the history anew from the run folders in --runs")
     ] = False,
-    runs: Annotated[
-        Path, typer.Option("--runs", help="folder with the run folders; their history lies beside it")
-    ] = Path("runs"),
+    runs: Annotated[Path, Option(help="folder with the run folders; their history lies beside it")] = Path("runs"),
     json: JsonOption = False,
 ) -> None:
     """Show what the runs of a stand have found of its machine: level, trend, changes, and when a limit is reached.
@@ -57,9 +51,8 @@ def history(
     Example: hilbench history --rebuild --runs runs --json
     """
     from hilbench.apps.history import entries
-    from hilbench.apps.history.quantities import quantities_of
+    from hilbench.apps.history.quantities import as_data, quantities_of
     from hilbench.apps.history.store import History, history_beside, history_of
-    from hilbench.apps.history.wording import as_data
     from hilbench.runs.config import load
 
     bench = None if config is None else load(config)[0]
@@ -105,7 +98,7 @@ def _show(found: dict[str, list[QuantityTrend]], path: Path, problems: Sequence[
     from rich.console import Console
     from rich.table import Table
 
-    from hilbench.apps.history.wording import figures, sentences
+    from hilbench.apps.history.quantities import figures, sentences
 
     console = Console(highlight=False)
     console.width = max(console.width, _WIDTH)

@@ -8,15 +8,15 @@ its data could not tell from them; of a commissioning all that it measured.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from hilbench.apps.history.estimates import estimates, place
 from hilbench.apps.history.store import COMMISSIONING, Entry, History, Quantity, history_of
 from hilbench.diagnosis.commissioning import Commissioned
 from hilbench.errors import UnusableInputError
@@ -26,13 +26,49 @@ from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load
 from hilbench.topology.config import BenchConfig
+from hilbench.topology.signals import unit_of
 from hilbench.twin.virtual_io import TwinStatus
 
+#: What is estimated, by its symbol in the names of channels; E is of a web, with the number of the span where there are
+#: several, all others are of a shaft.
+_ESTIMATED: Final = {
+    "E": "youngs_modulus",
+    "J": "inertia",
+    "coulomb": "coulomb_friction",
+    "viscous": "viscous_friction",
+}
+_CHANNEL: Final = re.compile(rf"({'|'.join(_ESTIMATED)})([1-9]\d*)?_sim_(\w+)")
 TWIN: Final = "twin"
 DIAGNOSIS: Final = "diagnosis"
 _NORMAL_95: Final = 1.959964
 #: Parameters that say when or where in a turn, and not how much.
 _PLACES: Final = ("phase_rad", "time_s", "duration_s")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An estimate's channel, that of its deviation, and its name in the history."""
+
+    value: str
+    deviation: str
+    quantity: str
+    unit: str
+
+
+def estimates(channels: Iterable[str]) -> Iterator[Estimate]:
+    """Those that a recording has."""
+    for name in channels:
+        if match := _CHANNEL.fullmatch(name):
+            symbol, number, unit = match[1], match[2] or "", match[3]
+            of = place({"span": number}) if symbol == "E" else "shaft"
+            yield Estimate(name, f"{symbol}{number}_sd_{unit}", f"{of}.{_ESTIMATED[symbol]}_{unit}", unit_of(name))
+
+
+def place(effect: Mapping[str, Any]) -> str:
+    """Place of an effect as a diagnosis writes it, in the path of a quantity."""
+    if effect.get("axis"):
+        return f"axis{effect['axis']}"
+    return f"span{effect['span']}" if effect.get("span") else "web"
 
 
 def remember(folder: RunFolder) -> Path | None:

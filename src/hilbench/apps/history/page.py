@@ -8,8 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hilbench.apps.history.quantities import SECONDS_PER_DAY, QuantityTrend
-from hilbench.apps.history.wording import date, figures, sentences
+from hilbench.apps.history.quantities import SECONDS_PER_DAY, QuantityTrend, date, figures, sentences
 from hilbench.apps.report.chart import BLUE, INK, ORANGE, VERMILLION
 from hilbench.apps.report.page import typeset, write_page
 from hilbench.apps.report.plots import Drawing, DrawnAxes, Picture
@@ -27,11 +26,7 @@ COLUMNS: Final = ("Quantity", ">Runs", ">Days", ">Now", "95 %", ">Per day", "95 
 def write_history_page(stands: Mapping[str, Sequence[QuantityTrend]], path: Path) -> Path:
     """Write the page; returns its path. Raises UnusableInputError if it cannot be written."""
     shown = [
-        (
-            stand,
-            [row(each) for each in quantities],
-            [picture(stand, each) for each in quantities],
-        )
+        (stand, [row(each) for each in quantities], [picture(stand, each) for each in quantities])
         for stand, quantities in stands.items()
     ]
     title = "History of " + ", ".join(stands)

@@ -1,22 +1,27 @@
-"""A stand's quantities with their trends, from the rows of its history."""
+"""A stand's quantities with their trends, from the rows of its history, as sentences or as data."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import groupby
-from typing import Final
+from math import isfinite
+from typing import Any, Final
 
 import numpy as np
 
 from hilbench.apps.history.store import Row
-from hilbench.apps.history.trend import Trend, trend
+from hilbench.apps.history.trend import Change, Reached, Trend, trend
 from hilbench.did_you_mean import expected_one_of
 from hilbench.errors import UnusableInputError
 
 SECONDS_PER_DAY: Final = 86400.0
 #: How far ahead of the last run a band goes, as a share of the time that is known.
 _AHEAD: Final = 0.5
+#: Beyond so many days no date is said.
+FAR_D: Final = 36500.0
+_NORMAL_95: Final = 1.959964
 
 
 @dataclass(frozen=True)
@@ -73,3 +78,124 @@ def quantities_of(rows: Sequence[Row], limits: Mapping[str, float]) -> Iterator[
         yield QuantityTrend(
             name, unit, found, limit, trend(days, values, deviations, limits=limits_ahead, ahead_d=ahead_d)
         )
+
+
+def moment(time_s: float) -> str:
+    """A time (s since 1970), UTC, ISO 8601."""
+    return datetime.fromtimestamp(time_s, UTC).isoformat(timespec="seconds")
+
+
+def date(time_s: float) -> str:
+    """The day of a time (s since 1970), UTC."""
+    return moment(time_s)[:10]
+
+
+def figures(one: QuantityTrend) -> list[str]:
+    """A table's text: level and its 95 %, rate per day and its 95 %, unit, trend."""
+    found = one.trend
+    if found is None:
+        last = one.rows[-1].quantity
+        return [f"{last.value:.5g}", f"± {_NORMAL_95 * last.sd:.2g}", "", "", one.unit, "one run or day"]
+    level, rate = (0.5 * (high - low) for low, high in (found.level_ci95, found.rate_ci95))
+    now, per_day = (f"{found.level:.5g}", f"± {level:.2g}"), (f"{found.rate_per_d:+.2g}", f"± {rate:.2g}")
+    return [*now, *per_day, one.unit, found.direction or "none seen"]
+
+
+def sentences(one: QuantityTrend) -> list[str]:
+    """Sentences on a quantity in addition to its figures: its changes, and when its limit is reached."""
+    found, lines = one.trend, []
+    for change in () if found is None else found.changes:
+        if change.kind == "outlier":
+            lines.append(f"the run of {_day(one, change.after_d)} is off by {change.size:+.3g} {one.unit}".rstrip())
+            continue
+        between = f"between {_day(one, change.after_d)} and {_day(one, change.before_d)}"
+        per = "" if change.kind == "step" else " per day"
+        what = "changed" if change.kind == "step" else "its trend changed"
+        lines.append(f"{what} {between} by {change.size:+.3g} ± {1.96 * change.sd:.2g} {one.unit}".rstrip() + per)
+    tied = [row.quantity.tied_with for row in one.rows if row.quantity.tied_with]
+    if tied:
+        others = ", ".join(sorted({name for each in tied for name in each.split(", ")}))
+        lines.append(f"in {len(tied)} of {len(one.rows)} runs it could not be told from {others}")
+    if one.limit is not None:
+        lines.append(_limit_sentence(one))
+    return lines
+
+
+def _limit_sentence(one: QuantityTrend) -> str:
+    assert one.limit is not None, "asked of quantities that have one"
+    limit = f"limit {one.limit:g} {one.unit}".rstrip()
+    if one.trend is None or not one.trend.reached:
+        return f"{limit}: no trend towards it is seen"
+    reached, last_s = one.trend.reached[0], one.rows[-1].time_s
+
+    def date_text(day: float) -> str:
+        return date(last_s + SECONDS_PER_DAY * day) if day < FAR_D else "never"
+
+    between = f"{date_text(reached.from_d)} to {date_text(reached.to_d)}"
+    return f"{limit} is reached {date_text(reached.median_d)} (90 %: {between})"
+
+
+def _day(one: QuantityTrend, day: float) -> str:
+    return moment(one.time_s(day))[:16].replace("T", " ")
+
+
+def as_data(one: QuantityTrend) -> dict[str, Any]:
+    """For a program; times are ISO 8601, UTC, rates per day."""
+    found = one.trend
+    return {
+        "quantity": one.name,
+        "unit": one.unit,
+        "runs": len(one.rows),
+        "days": one.days,
+        "first": moment(one.first_time_s),
+        "last": moment(one.rows[-1].time_s),
+        "stated_sd": one.stated_sd,
+        "trend": None if found is None else found.direction,
+        "level": None if found is None else {"value": found.level, "ci95": list(found.level_ci95)},
+        "rate_per_day": None if found is None else {"value": found.rate_per_d, "ci95": list(found.rate_ci95)},
+        "sure": None if found is None else found.sure,
+        "repeat_sd": None if found is None else found.repeat_sd,
+        "daily_sd": None if found is None else found.daily_sd,
+        "changes": [] if found is None else [_change(one, change) for change in found.changes],
+        "limit": None if one.limit is None else _limit_data(one),
+        "values": [
+            {
+                "run": row.run,
+                "source": row.source,
+                "time": moment(row.time_s),
+                "value": row.quantity.value,
+                "sd": row.quantity.sd,
+                "tied_with": row.quantity.tied_with,
+            }
+            for row in one.rows
+        ],
+    }
+
+
+def _change(one: QuantityTrend, change: Change) -> dict[str, Any]:
+    return {
+        "kind": change.kind,
+        "after": moment(one.time_s(change.after_d)),
+        "before": moment(one.time_s(change.before_d)),
+        "size": change.size,
+        "sd": change.sd,
+        "probability": change.probability,
+    }
+
+
+def _limit_data(one: QuantityTrend) -> dict[str, Any]:
+    reached = None if one.trend is None or not one.trend.reached else one.trend.reached[0]
+    return {"value": one.limit, "reached": None if reached is None else _reached(one, reached)}
+
+
+def _reached(one: QuantityTrend, reached: Reached) -> dict[str, Any]:
+    last_s = one.rows[-1].time_s
+    days = {"expected": reached.median_d, "from": reached.from_d, "to": reached.to_d}
+    return {
+        f"{name}{suffix}": value
+        for name, day in days.items()
+        for suffix, value in (
+            ("", moment(last_s + SECONDS_PER_DAY * day) if isfinite(day) and day < FAR_D else None),
+            ("_days", day if isfinite(day) else None),
+        )
+    }

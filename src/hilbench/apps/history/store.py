@@ -1,14 +1,12 @@
 """The history of stands: one SQLite file with what each run has found of the machine.
 
-Several runs may add at a time (write-ahead log, a waiting time for the lock, one transaction a run), and a process that
-is killed while it writes leaves the file whole. Nothing is only there: `entries.rebuild` makes it again from run
-folders.
+Several runs may add at a time, one transaction a run (`hilbench.apps.library.database`). `entries.rebuild` makes it
+again from run folders.
 """
 
 from __future__ import annotations
 
 import sqlite3
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -16,12 +14,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from hilbench.apps.library.database import connected
 from hilbench.errors import UnusableInputError
 from hilbench.topology.config import BenchConfig
 
 #: How long a run waits for another one that writes, s.
 _PATIENCE_S: Final = 10.0
-_A_MOMENT_S: Final = 0.005
 _VERSION: Final = 1
 #: Where the history lies unless the config says so: beside the folder of the runs.
 FILE: Final = "history.sqlite"
@@ -133,8 +131,7 @@ class History:
             raise UnusableInputError(self.path, "no such file, expected the history of a stand (runs make it)")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            with closing(sqlite3.connect(self.path, timeout=_PATIENCE_S, isolation_level="IMMEDIATE")) as connection:
-                self._prepare(connection)
+            with closing(connected(self.path, _TABLES, _VERSION, _PATIENCE_S, self._refuse)) as connection:
                 yield connection
         except sqlite3.OperationalError as error:
             raise UnusableInputError(self.path, f"cannot be used ({error}), expected a history of stands") from error
@@ -143,43 +140,12 @@ class History:
         except OSError as error:
             raise UnusableInputError(self.path, f"cannot be made ({error.strerror}), expected a folder") from error
 
-    def _prepare(self, connection: sqlite3.Connection) -> None:
-        connection.execute("PRAGMA foreign_keys = ON")
-        version = _version(connection)
+    def _refuse(self, connection: sqlite3.Connection, version: int) -> None:
         if version == 0:
-            _write_ahead(connection)
-            with connection:
-                connection.execute("BEGIN IMMEDIATE")
-                if _version(connection) == 0:  # no other process was faster
-                    if connection.execute("SELECT count(*) FROM sqlite_schema").fetchone() != (0,):
-                        raise UnusableInputError(
-                            self.path, "has tables of something else, expected a history of stands"
-                        )
-                    for statement in filter(str.strip, _TABLES.split(";")):
-                        connection.execute(statement)
-                    connection.execute(f"PRAGMA user_version = {_VERSION}")
-        elif version != _VERSION:
-            raise UnusableInputError(
-                self.path, f"is of version {version}, expected {_VERSION}: remove it, and hilbench history --rebuild"
-            )
-
-
-def _write_ahead(connection: sqlite3.Connection) -> None:
-    """Give a new file its write-ahead log. For the lock that this needs SQLite itself does not wait: of several that
-    make the file at a time each but one would fail."""
-    end_s = time.monotonic() + _PATIENCE_S
-    while True:
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-            return
-        except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or time.monotonic() > end_s:
-                raise
-            time.sleep(_A_MOMENT_S)
-
-
-def _version(connection: sqlite3.Connection) -> int:
-    return int(connection.execute("PRAGMA user_version").fetchone()[0])
+            raise UnusableInputError(self.path, "has tables of something else, expected a history of stands")
+        raise UnusableInputError(
+            self.path, f"is of version {version}, expected {_VERSION}: remove it, and hilbench history --rebuild"
+        )
 
 
 def _write(connection: sqlite3.Connection, entry: Entry) -> None:

@@ -447,27 +447,20 @@ class _Mixture:
     @classmethod
     def of(cls, weights: Array, posteriors: Sequence[_Posterior], base: Array, more: Array) -> _Mixture:
         """base (figures, 2), more (figures, K): what makes the figures of level and rate, and of the candidates."""
-        kept, means, variances, crossed = [], [], [], []
+        parts = []
         for row, posterior in zip(weights, posteriors, strict=True):
             own = np.hstack([base, more[:, posterior.chosen]])
-            mean = own @ posterior.mean
-            spread = own @ posterior.inverse
-            variance = np.sum(spread * own, axis=1)
-            cross = float(spread[0] @ own[1])
-            for model in np.flatnonzero(row > _LEAST_WEIGHT):
-                kept.append(row[model])
-                if model == 0:
-                    means.append(mean)
-                    variances.append(variance)
-                    crossed.append(cross)
-                    continue
-                k = model - 1
-                lever = more[:, k] - own @ posterior.mixed[:, k]
-                means.append(mean + lever * posterior.gain[k])
-                variances.append(variance + lever**2 / posterior.left[k])
-                crossed.append(cross + lever[0] * lever[1] / posterior.left[k])
-        total = np.array(kept)
-        return cls(total / total.sum(), np.array(means), np.array(variances), np.array(crossed))
+            mean, spread = own @ posterior.mean, own @ posterior.inverse
+            lever = more - own @ posterior.mixed  # (figures, K): what a candidate's size adds beside the others
+            steps = np.column_stack([np.zeros(len(own)), lever * posterior.gain])
+            squares = np.column_stack([np.zeros(len(own)), lever**2 / posterior.left])
+            crosses = np.concatenate([[0.0], lever[0] * lever[1] / posterior.left])
+            counts = row > _LEAST_WEIGHT
+            of_own = mean[:, None] + steps, np.sum(spread * own, axis=1)[:, None] + squares
+            parts.append([row, of_own[0].T, of_own[1].T, spread[0] @ own[1] + crosses])
+            parts[-1] = [each[counts] for each in parts[-1]]
+        total, means, variances, crossed = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return cls(total / total.sum(), means, variances, crossed)
 
     def moments(self, figure: int) -> tuple[float, float]:
         """Mean and standard deviation."""

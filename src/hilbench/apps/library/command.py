@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.options import JsonOption, print_json
 from hilbench.errors import UnusableInputError, printable
@@ -23,11 +24,11 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="The runs in a folder: list, show, tag, note, trend, matrix, delete, gc.")
 
-RunsOption = Annotated[Path, typer.Option("--runs", metavar="DIR", help="folder with the run folders")]
+RunsOption = Annotated[Path, Option("--runs", metavar="DIR", help="folder with the run folders")]
 
 
 def _option(name: str, kind: Any, option: str, metavar: str | None, help: str) -> Parameter:
-    annotation = Annotated[kind | None, typer.Option(option, metavar=metavar, help=help)]
+    annotation = Annotated[kind | None, Option(option, metavar=metavar, help=help)]
     return Parameter(name, Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=annotation)
 
 
@@ -44,8 +45,8 @@ _FILTERS = (
     _option("where", str, "--where", "CONDITION", _ASKED_OF),
 )
 Filters = dict[str, Any]
-OneRunArgument = Annotated[str, typer.Argument(metavar="RUN", help="run folder, a name in --runs, or last")]
-RunArguments = Annotated[list[str], typer.Argument(metavar="RUN...", help="run folders, names in --runs, or last")]
+OneRunArgument = Annotated[str, Argument(metavar="RUN", help="run folder, a name in --runs, or last")]
+RunArguments = Annotated[list[str], Argument(metavar="RUN...", help="run folders, names in --runs, or last")]
 _DIR = Path("runs")
 #: Runs that a table shows unless asked for more.
 _SHOWN = 50
@@ -97,18 +98,13 @@ def _library(folder: Path) -> Library:
 def list_runs(
     filters: Filters,
     runs: RunsOption = _DIR,
-    metric: Annotated[list[str] | None, typer.Option("--metric", help="show it as a column; repeatable")] = None,
-    sort: Annotated[
-        str, typer.Option("--sort", metavar="KEY", help="began, or a metric or field: largest first")
-    ] = "began",
+    metric: Annotated[list[str] | None, Option(help="show it as a column; repeatable")] = None,
+    sort: Annotated[str, Option(metavar="KEY", help="began, or a metric or field: largest first")] = "began",
     last: Annotated[
-        int | None,
-        typer.Option("--last", min=1, help="so many at most", show_default=f"{_SHOWN} in a table, otherwise all"),
+        int | None, Option(min=1, help="so many at most", show_default=f"{_SHOWN} in a table, otherwise all")
     ] = None,
-    paths: Annotated[bool, typer.Option("--paths", help="print the paths of the folders alone")] = False,
-    html: Annotated[
-        Path | None, typer.Option("--html", metavar="FILE", help="write a page to look through them")
-    ] = None,
+    paths: Annotated[bool, Option("--paths", help="print the paths of the folders alone")] = False,
+    html: Annotated[Path | None, Option(metavar="FILE", help="write a page to look through them")] = None,
     json: JsonOption = False,
 ) -> None:
     """List runs, the newest first: when, what, with which result, and what they measured.
@@ -224,11 +220,7 @@ def _found(criterion: CriterionResult) -> str:
 
 
 @app.command()
-def show(
-    run: OneRunArgument = "last",
-    runs: RunsOption = _DIR,
-    json: JsonOption = False,
-) -> None:
+def show(run: OneRunArgument = "last", runs: RunsOption = _DIR, json: JsonOption = False) -> None:
     """Show one run: its result, criteria, metrics, labels, and where its files are.
 
     Example: hilbench runs show last
@@ -285,13 +277,12 @@ def show(
 @_with_filters
 def trend(
     filters: Filters,
-    metric: Annotated[str, typer.Argument(metavar="METRIC", help="a metric")],
+    metric: Annotated[str, Argument(metavar="METRIC", help="a metric")],
     over: Annotated[
-        str,
-        typer.Option("--over", metavar="KEY", help="began, or another number: a key that was set, a metric"),
+        str, Option(metavar="KEY", help="began, or another number: a key that was set, a metric")
     ] = "began",
     runs: RunsOption = _DIR,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="draw it there: .svg or .png")] = None,
+    out: Annotated[Path | None, Option(metavar="FILE", help="draw it there: .svg or .png")] = None,
     json: JsonOption = False,
 ) -> None:
     """Show how a metric goes over runs, or over a value in which they differ, and draw it.
@@ -333,8 +324,8 @@ def trend(
 @app.command("tag")
 def tag_runs(
     run: RunArguments,
-    add: Annotated[list[str] | None, typer.Option("--add", metavar="TAG", help="repeatable")] = None,
-    remove: Annotated[list[str] | None, typer.Option("--remove", metavar="TAG", help="repeatable")] = None,
+    add: Annotated[list[str] | None, Option(metavar="TAG", help="repeatable")] = None,
+    remove: Annotated[list[str] | None, Option(metavar="TAG", help="repeatable")] = None,
     runs: RunsOption = _DIR,
 ) -> None:
     """Give runs tags, or take them away; they stand in the run folder (labels.json) and go where it goes.
@@ -352,7 +343,7 @@ def tag_runs(
 @app.command("note")
 def note_run(
     run: OneRunArgument,
-    text: Annotated[str, typer.Argument(metavar="TEXT", help="what is to be known of it")],
+    text: Annotated[str, Argument(metavar="TEXT", help="what is to be known of it")],
     runs: RunsOption = _DIR,
 ) -> None:
     """Add a note to a run, with the time and who wrote it.
@@ -369,9 +360,9 @@ def note_run(
 @_with_filters
 def delete(
     filters: Filters,
-    run: Annotated[list[str] | None, typer.Argument(metavar="[RUN...]", help="run folders, or names in --runs")] = None,
+    run: Annotated[list[str] | None, Argument(metavar="[RUN...]", help="run folders, or names in --runs")] = None,
     runs: RunsOption = _DIR,
-    yes: Annotated[bool, typer.Option("--yes", help="don't ask")] = False,
+    yes: Annotated[bool, Option("--yes", help="don't ask")] = False,
 ) -> None:
     """Delete runs, those named or all that are found, after a question. What is no run folder is refused.
 
@@ -429,18 +420,16 @@ def _count(runs: int) -> str:
 @app.command()
 def gc(
     runs: RunsOption = _DIR,
-    older_than: Annotated[
-        str | None, typer.Option("--older-than", metavar="AGE", help="runs go, such as 90d or 12h")
-    ] = None,
+    older_than: Annotated[str | None, Option(metavar="AGE", help="runs go, such as 90d or 12h")] = None,
     max_size: Annotated[
-        str | None, typer.Option("--max-size", metavar="SIZE", help="the oldest go until all take at most, e.g. 20GB")
+        str | None, Option(metavar="SIZE", help="the oldest go until all take at most, e.g. 20GB")
     ] = None,
-    keep_last: Annotated[int, typer.Option("--keep-last", min=0, help="the newest of each bench stay, so many")] = 0,
+    keep_last: Annotated[int, Option(min=0, help="the newest of each bench stay, so many")] = 0,
     keep_labelled: Annotated[
-        bool, typer.Option("--keep-labelled/--no-keep-labelled", help="runs with a tag or a note stay")
+        bool, Option("--keep-labelled/--no-keep-labelled", help="runs with a tag or a note stay")
     ] = True,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="only list what would be deleted")] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="don't ask")] = False,
+    dry_run: Annotated[bool, Option("--dry-run", help="only list what would be deleted")] = False,
+    yes: Annotated[bool, Option("--yes", help="don't ask")] = False,
     json: JsonOption = False,
 ) -> None:
     """Clear old runs away, by age or by the size of all; runs with a tag or a note, and those that go on, stay.
@@ -508,12 +497,9 @@ def _bytes(text: str) -> int:
 def matrix(
     filters: Filters,
     runs: RunsOption = _DIR,
-    last: Annotated[int, typer.Option("--last", min=1, help="runs at most, the newest")] = 10,
-    reqif: Annotated[
-        Path | None,
-        typer.Option("--reqif", metavar="FILE", help="specification: titles, and what nothing covers"),
-    ] = None,
-    html: Annotated[Path | None, typer.Option("--html", metavar="FILE", help="write a page")] = None,
+    last: Annotated[int, Option(min=1, help="runs at most, the newest")] = 10,
+    reqif: Annotated[Path | None, Option(metavar="FILE", help="specification: titles, and what nothing covers")] = None,
+    html: Annotated[Path | None, Option(metavar="FILE", help="write a page")] = None,
     json: JsonOption = False,
 ) -> None:
     """Show requirements by runs: what the criteria of each run (`verifies`) say of each requirement.
@@ -530,13 +516,13 @@ def matrix(
 
     specified = []
     if reqif is not None:
-        from hilbench.apps.library.specification import read_reqif
+        from hilbench.apps.library.matrix import read_reqif
 
         specified = read_reqif(reqif)
     query = Query.parse(**filters)
     made = matrix_of([run for run in _library(runs).runs(query) if run.verifies][:last], specified)
     if html is not None:
-        from hilbench.apps.library.matrix_page import write_matrix_page
+        from hilbench.apps.library.matrix import write_matrix_page
 
         typer.echo(write_matrix_page(made, runs, html))
     elif json:

@@ -12,10 +12,10 @@ import os
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, suppress
-from functools import partial
 from pathlib import Path
 from typing import Final, TypeVar
 
+from hilbench.apps.library.database import connected
 from hilbench.apps.library.entry import RunEntry, read_entry
 from hilbench.errors import UnusableInputError
 
@@ -109,20 +109,28 @@ class Index:
     def _asked(self, question: Callable[[sqlite3.Connection], list[_Answer]]) -> list[_Answer]:
         """Of the file, which is made anew where it is damaged, of another version or no index at all; of one in memory
         where it can't be written, or somebody else holds it."""
-        connect = partial(sqlite3.connect, self.base / FILE, timeout=_PATIENCE_S, isolation_level="IMMEDIATE")
         for _ in range(2):
             try:
-                with closing(connect()) as file:
-                    return question(_prepared(file))
+                with closing(_opened(self.base / FILE)) as file:
+                    return question(file)
             except sqlite3.DatabaseError as error:
                 if getattr(error, "sqlite_errorcode", 0) & 0xFF in _OF_ANOTHER:
                     break
                 for suffix in ("", "-wal", "-shm"):
                     with suppress(OSError):
                         os.unlink(self.base / f"{FILE}{suffix}")
-        with closing(_prepared(sqlite3.connect(":memory:"))) as memory:
+        with closing(_opened(":memory:")) as memory:
             self._update(memory, lambda text: None)
             return question(memory)
+
+
+def _opened(path: str | Path) -> sqlite3.Connection:
+    return connected(path, _TABLES, _VERSION, _PATIENCE_S, _drop_tables)
+
+
+def _drop_tables(connection: sqlite3.Connection, version: int) -> None:
+    for (name,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table'").fetchall():
+        connection.execute(f'DROP TABLE "{name}"')
 
 
 def _entry(text: str, metrics: Mapping[str, float]) -> RunEntry:
@@ -130,22 +138,6 @@ def _entry(text: str, metrics: Mapping[str, float]) -> RunEntry:
         return RunEntry.model_validate_json(text).model_copy(update={"metrics": metrics})
     except ValueError as error:
         raise sqlite3.DatabaseError("a row of the index is damaged") from error
-
-
-def _prepared(connection: sqlite3.Connection) -> sqlite3.Connection:
-    """With its tables. Raises sqlite3.Error."""
-    if connection.execute("PRAGMA user_version").fetchone()[0] == _VERSION:
-        return connection
-    connection.execute("PRAGMA journal_mode = WAL")
-    with connection:
-        connection.execute("BEGIN IMMEDIATE")
-        if connection.execute("PRAGMA user_version").fetchone()[0] != _VERSION:  # nobody else was faster
-            for (name,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table'").fetchall():
-                connection.execute(f'DROP TABLE "{name}"')
-            for statement in filter(str.strip, _TABLES.split(";")):
-                connection.execute(statement)
-            connection.execute(f"PRAGMA user_version = {_VERSION}")
-    return connection
 
 
 def _metrics(connection: sqlite3.Connection, names: Iterable[str] | None) -> dict[str, dict[str, float]]:

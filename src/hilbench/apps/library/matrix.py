@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import html
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, Literal
+from urllib.parse import quote
 
 from hilbench.apps.library.entry import RunEntry
+from hilbench.errors import UnusableInputError
 
 Cell = Literal["passed", "marginal", "failed", "error", "fault", ""]
 #: From the best to the worst: what several criteria of a run say together is what the worst of them says.
 _ORDER: Final[tuple[Cell, ...]] = ("", "passed", "marginal", "error", "fault", "failed")
+#: Attributes in which tools keep the id that people use, and the title; the first that is there (ReqIF implementation
+#: guide of prostep ivip, system attributes).
+_IDS: Final = ("ReqIF.ForeignID", "ReqIF.ForeignId", "UID", "ID")
+_TITLES: Final = ("ReqIF.Name", "TITLE", "Title", "ReqIF.Text", "STATEMENT")
+_HEADING: Final = "ReqIF.ChapterName"
+_LONGEST_TITLE: Final = 120
 
 
 @dataclass(frozen=True)
@@ -111,3 +123,79 @@ def _cell(run: RunEntry, verdict: str) -> Cell:
 
 def _worse(one: Cell, other: Cell) -> Cell:
     return max(one, other, key=_ORDER.index)
+
+
+def write_matrix_page(matrix: Matrix, base: Path, path: Path) -> Path:
+    """Write the page, with links to the reports of the runs in the folder `base`; returns `path`.
+
+    Raises UnusableInputError if it can't be written.
+    """
+    from hilbench.apps.report.page import write_page
+
+    below = quote(Path(os.path.relpath(base.resolve(), path.resolve().parent)).as_posix())
+    links = [f"{below}/{quote(run.path)}/report.html" if run.has_report else "" for run in matrix.runs]
+    covered = len(matrix.rows) - len(matrix.not_covered)
+    held = sum(row.newest in ("passed", "marginal") for row in matrix.rows)
+    return write_page(
+        path,
+        "library/matrix",
+        title="Requirements",
+        facts=[f"{len(matrix.rows)} requirements", f"{covered} covered", f"{held} passed when last looked at"],
+        passed=matrix.fulfilled,
+        runs=list(zip(matrix.runs, links, strict=True)),
+        rows=matrix.rows,
+    )
+
+
+def read_reqif(path: Path) -> list[Requirement]:
+    """The requirements of a .reqif file, in the order of its specifications; headings are left out.
+
+    Raises UnusableInputError for what is none, or without the package reqif.
+    """
+    try:
+        from reqif.parser import ReqIFParser
+    except ImportError:
+        raise UnusableInputError(path, "needs reqif, expected 'pip install hilbench[reqif]'") from None
+    if not path.is_file():
+        raise UnusableInputError(path, "no such file, expected a specification (.reqif)")
+    try:
+        bundle = ReqIFParser.parse(str(path))
+        found = {each.id: each for each in _requirements(bundle)}
+    except Exception as error:  # the parser lets through whatever a broken file does to it
+        raise UnusableInputError(
+            path, f"is no specification ({' '.join(str(error).split()) or type(error).__name__}), expected ReqIF"
+        ) from error
+    return list(found.values())
+
+
+def _requirements(bundle: Any) -> Iterator[Requirement]:
+    content = bundle.core_content.req_if_content
+    names = {
+        definition.identifier: definition.long_name or definition.identifier
+        for spec_type in content.spec_types or ()
+        for definition in getattr(spec_type, "attribute_definitions", None) or ()
+    }
+    objects = {each.identifier: each for each in content.spec_objects or ()}
+    order = [
+        entry.spec_object
+        for specification in content.specifications or ()
+        for entry in bundle.iterate_specification_hierarchy(specification)
+    ]
+    for identifier in dict.fromkeys([*order, *objects]):
+        if identifier in objects:
+            yield from _requirement(objects[identifier], names)
+
+
+def _requirement(found: Any, names: Mapping[str, str]) -> Iterator[Requirement]:
+    """None of a heading."""
+    values = {names.get(each.definition_ref, each.definition_ref): _as_text(each.value) for each in found.attributes}
+    title = next((values[name] for name in _TITLES if values.get(name)), found.long_name or "")
+    if values.get(_HEADING) and not any(values.get(name) for name in _TITLES):
+        return
+    known = next((values[name] for name in _IDS if values.get(name)), found.identifier)
+    yield Requirement(known, title if len(title) <= _LONGEST_TITLE else f"{title[: _LONGEST_TITLE - 1]}…")
+
+
+def _as_text(value: object) -> str:
+    """Text without the markup of XHTML attributes."""
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", str(value))).split())

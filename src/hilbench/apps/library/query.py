@@ -12,9 +12,9 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
-from hilbench.apps.library.active_runs import continues
 from hilbench.apps.library.entry import STATES, RunEntry, read_entry
 from hilbench.apps.library.index import Index
+from hilbench.apps.library.live_run import continues
 from hilbench.apps.library.where import Condition, parse_condition
 from hilbench.did_you_mean import did_you_mean
 from hilbench.errors import UnusableInputError

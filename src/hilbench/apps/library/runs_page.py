@@ -9,8 +9,7 @@ from typing import Any, Final
 from urllib.parse import quote
 
 from hilbench.apps.library.entry import RunEntry
-from hilbench.apps.report.live import Program
-from hilbench.apps.report.page import page_text
+from hilbench.apps.report.page import Program, page_text
 from hilbench.files import write_whole
 
 #: Rows for paper, and for a browser that runs no script.

@@ -3,28 +3,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Lock
 from typing import Any, Final, TypeVar
 
 from canopen import SdoAbortedError, SdoCommunicationError
-from hilbench.apps.monitor.web_line_switches import Switch, switches
+from hilbench.apps.library.labels import user_name
+from hilbench.apps.library.live_run import LiveRun
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
 from hilbench.bench.operator.operator_objects import INDEX
 from hilbench.bench.prediction.create import foreseeable
+from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
 from hilbench.canopen.data_types import DataType
+from hilbench.canopen.identifiers import SYNC
 from hilbench.canopen.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.errors import BusError, HilbenchError
 from hilbench.prediction.outlook import Outlook
-from hilbench.results.received import from_frames
+from hilbench.results.journal import append_to_journal
+from hilbench.results.received import SYNCS, from_frames
 from hilbench.results.what_if import Question, what_if
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.main_quantities.of_kind import find_quantity
 from hilbench.topology.main_quantities.quantity import MainQuantity
+from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE
 
 #: How long the bench may take, s; in lockstep it answers with its next cycle.
 PATIENCE_S: Final = 3.0
@@ -34,6 +42,82 @@ _LIKELY: Final = 0.5
 SHOWN_UNITS: Final = ("N", "N·m")
 
 Answered = TypeVar("Answered", str, "Foreseen")
+
+
+@dataclass(frozen=True)
+class Switch:
+    """Yes-or-no switch of a bench: path, key in the monitor, title, and the meaning of yes and no."""
+
+    path: str
+    key: str
+    title: str
+    yes: str
+    no: str
+
+
+PROBE: Final = Switch(TENSION_PROBE, "p", "probe", "move the tension a little, or allow it", "end or refuse it")
+MODEL: Final = Switch(MODEL_CHANGE, "c", "model change", "the twin takes over the proposed model", "refuse it")
+
+
+def switches(config: BenchConfig) -> Iterator[Switch]:
+    """Switches of this bench."""
+    if any(control.probes.mode != "off" for control in config.tension_controls.values()):
+        yield PROBE
+    if config.twin.live_diagnosis is not None:
+        yield MODEL
+
+
+class RecentFrames:
+    """Frames of about `hilbench.results.received.SYNCS` cycles."""
+
+    def __init__(self) -> None:
+        self._received: deque[list[Frame]] = deque()
+        self._syncs = 0
+
+    def take(self, frames: list[Frame]) -> None:
+        """Add received frames."""
+        self._received.append(frames)
+        self._syncs += _syncs(frames)
+        while self._syncs - (oldest := _syncs(self._received[0])) > SYNCS:
+            self._received.popleft()
+            self._syncs -= oldest
+
+    def frames(self) -> list[Frame]:
+        """All of them, in their order."""
+        return [frame for received in self._received for frame in received]
+
+
+def _syncs(frames: list[Frame]) -> int:
+    return sum(frame.can_id == SYNC for frame in frames)
+
+
+def somebody_here() -> str:
+    """Name of the user at this terminal, as written in a journal."""
+    return f"{user_name('somebody')} (terminal)"
+
+
+class OperatorJournal:
+    """Notes them in the run on a bus, where its folder is among `runs` on this machine; `channel` is the bus' name in a
+    trace, `cycle_ns` the bench's cycle."""
+
+    def __init__(self, runs: Path, channel: str, cycle_ns: int) -> None:
+        self._runs, self._channel, self._cycle_ns = runs, channel, cycle_ns
+        self._run: LiveRun | None = None
+        self.who = somebody_here()
+
+    def note(self, text: str, value: float = 0.0) -> None:
+        """Somebody has done this now; without a run that is known it is nowhere noted.
+
+        Raises UnusableInputError for a journal that can't be written.
+        """
+        if (run := self._of_now()) is not None:
+            cycle = run.cycles(time.time_ns(), self._cycle_ns)
+            append_to_journal(run.folder.journal, Change(cycle, "asked", text, value, who=self.who))
+
+    def _of_now(self) -> LiveRun | None:
+        if self._run is None or not self._run.continues:
+            self._run = LiveRun.on(self._runs, self._channel)
+        return self._run
 
 
 @dataclass(frozen=True)

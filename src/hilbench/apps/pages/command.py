@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import BusOption, JsonOption, print_json
@@ -24,34 +24,24 @@ _READ_S = 0.05
 def monitor(
     config: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             metavar="CONFIG",
             help="config (YAML) of the bench; with --browser a folder of runs instead shows these alone",
         ),
     ],
     bus: BusOption = None,
-    pace: Annotated[str | None, typer.Option("--pace", help="that of the run, where it is not the config's")] = None,
-    duration: Annotated[float, typer.Option("--for", metavar="S", min=0.1, help="--json: how long to listen")] = 1.0,
+    pace: Annotated[str | None, Option(help="that of the run, where it is not the config's")] = None,
+    duration: Annotated[float, Option("--for", metavar="S", min=0.1, help="--json: how long to listen")] = 1.0,
     json: JsonOption = False,
-    browser: Annotated[
-        bool, typer.Option("--browser", help="serve a page with plots, for any number of viewers")
-    ] = False,
+    browser: Annotated[bool, Option("--browser", help="serve a page with plots, for any number of viewers")] = False,
     host: Annotated[
         str | None,
-        typer.Option(
-            "--host",
-            help="--browser: address to listen at; else only this machine reaches it",
-            show_default="127.0.0.1",
-        ),
+        Option(help="--browser: address to listen at; else only this machine reaches it", show_default="127.0.0.1"),
     ] = None,
     port: Annotated[
-        int | None,
-        typer.Option("--port", min=0, max=65535, help="--browser: port; 0: any that is free", show_default="8321"),
+        int | None, Option(min=0, max=65535, help="--browser: port; 0: any that is free", show_default="8321")
     ] = None,
-    runs: Annotated[
-        Path | None,
-        typer.Option("--runs", help="folder in which the runs are", show_default="runs"),
-    ] = None,
+    runs: Annotated[Path | None, Option(help="folder in which the runs are", show_default="runs")] = None,
 ) -> None:
     """Watch a running bench as a listener on its bus: the twin's values, drive states, bus load, jitter, faults.
 
@@ -89,9 +79,8 @@ def monitor(
         if json:
             _print(picture, link, duration)
             return
-        from hilbench.apps.monitor.changes import PATIENCE_S, ChangeRequests
+        from hilbench.apps.monitor.changes import PATIENCE_S, ChangeRequests, OperatorJournal
         from hilbench.apps.monitor.dashboard import Dashboard
-        from hilbench.apps.monitor.operator_journal import OperatorJournal
         from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
 
         operator_journal = OperatorJournal(runs or Path("runs"), link.channel, loaded.cycle_ns)

@@ -15,7 +15,7 @@ from starlette.routing import BaseRoute, Route
 from hilbench.apps.library.entry import RunEntry
 from hilbench.apps.library.query import Library
 from hilbench.apps.library.runs_page import page_data, runs_text
-from hilbench.apps.report.live import Program, policy, scripts
+from hilbench.apps.report.page import Program, policy, scripts
 from hilbench.errors import UnusableInputError
 from hilbench.results.run_folder import RunFolder
 

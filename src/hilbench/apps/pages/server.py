@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
+from importlib import resources
 from pathlib import Path
 from typing import Final
 
 import uvicorn
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response
+from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.websockets import WebSocket
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
@@ -18,16 +26,27 @@ from hilbench.apps.library.live_run import LiveRun
 from hilbench.apps.monitor.changes import PATIENCE_S, ChangeRequests
 from hilbench.apps.pages import replay
 from hilbench.apps.pages import runs as runs_pages
-from hilbench.apps.pages.access import Access
+from hilbench.apps.pages.access import Access, Guard, session_opened
 from hilbench.apps.pages.live.controls import Controls
 from hilbench.apps.pages.live.listener import Listener
 from hilbench.apps.pages.live.viewer import Viewers
-from hilbench.apps.pages.site import site
+from hilbench.apps.report.page import page_text
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
 from hilbench.errors import UnusableInputError
 from hilbench.topology.config import BenchConfig
 
+#: Every file that there is to ask for, where it stands, and what it is.
+_FILES: Final = {
+    "live.js": ("pages/static/live.js", "text/javascript"),
+    "axes.js": ("report/axes.js", "text/javascript"),
+    "session.js": ("pages/static/session.js", "text/javascript"),
+    "icon.svg": ("pages/static/icon.svg", "image/svg+xml"),
+    "live.css": ("pages/static/live.css", "text/css"),
+    "page.css": ("report/page.css", "text/css"),
+    "uPlot.js": ("report/uplot/uPlot.iife.min.js", "text/javascript"),
+    "uPlot.css": ("report/uplot/uPlot.min.css", "text/css"),
+}
 LOOPBACK: Final = "127.0.0.1"
 PORT: Final = 8321
 #: Bytes of a message of a viewer, and of the head of a request, at most.
@@ -36,6 +55,39 @@ _LARGEST_MESSAGE, _LARGEST_HEAD = 4096, 16_384
 _PING_S: Final = 10.0
 #: Connections that are not a viewer's.
 _MOST_CONNECTIONS: Final = 128
+
+
+def site(access: Access, rooms: Sequence[BaseRoute], viewers: Viewers | None = None) -> Starlette:
+    """The pages: `rooms` are further ones, `viewers` those of a bench."""
+    apps = resources.files("hilbench.apps")
+    files = {name: (apps.joinpath(path).read_bytes(), kind) for name, (path, kind) in _FILES.items()}
+
+    async def front(request: Request) -> Response:
+        return HTMLResponse(page_text("pages/front", live=viewers is not None, replay=False))
+
+    async def file(request: Request) -> Response:
+        if request.path_params["name"] not in files:
+            raise HTTPException(404)
+        content, kind = files[request.path_params["name"]]
+        return Response(content, media_type=kind)
+
+    async def session(request: Request) -> Response:
+        if request.method == "POST":
+            return session_opened(access, request.headers.get("authorization", ""))
+        return Response(status_code=204 if access.knows(access.session_of(request.headers)) else 401)
+
+    async def live(socket: WebSocket) -> None:
+        assert viewers is not None, "the route is only there with them"
+        await viewers.serve(socket)
+
+    routes: list[BaseRoute] = [
+        Route("/", front),
+        Route("/static/{name}", file),
+        Route("/session", session, methods=["GET", "POST"]),
+        *([WebSocketRoute("/live", live)] if viewers is not None else []),
+        *rooms,
+    ]
+    return Starlette(routes=routes, middleware=[Middleware(Guard, access=access)])
 
 
 class _Connection(H11Protocol):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from hilbench.apps.cli.options import RunArgument
 from hilbench.errors import UnusableInputError
@@ -14,10 +14,10 @@ from hilbench.errors import UnusableInputError
 def report(
     run_folder: RunArgument,
     pictures: Annotated[
-        Path | None, typer.Option("--pictures", metavar="DIR", help="write its pictures alone, each as a file in DIR")
+        Path | None, Option(metavar="DIR", help="write its pictures alone, each as a file in DIR")
     ] = None,
     form: Annotated[
-        str | None, typer.Option("--format", metavar="FORMAT", help="of the pictures: svg or png", show_default="svg")
+        str | None, Option("--format", metavar="FORMAT", help="of the pictures: svg or png", show_default="svg")
     ] = None,
 ) -> None:
     """Write the report of a run folder anew, or its pictures one by one.

@@ -11,9 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hilbench.apps.streams.messages import rows_of
-from hilbench.apps.streams.sinks import Sink, open_sink
-from hilbench.apps.streams.target import Target
+from hilbench.apps.streams.sinks import Sink, Target, open_sink, rows_of
 from hilbench.errors import UnusableInputError
 from hilbench.exit_status import ended
 from hilbench.real_time import give_way

@@ -5,24 +5,146 @@ from __future__ import annotations
 import json
 import re
 import socket
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
+from math import isfinite
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from hilbench.apps.streams.messages import Group, groups_of, time_place
-from hilbench.apps.streams.target import SINKS, Target
 from hilbench.entry_points import loaded
 from hilbench.errors import UnusableInputError
-from hilbench.topology.signal_kinds import Signal
+from hilbench.topology.signal_kinds import TIME, Signal
 
+#: Entry points of the sinks of other packages, by kind.
+SINKS: Final = "hilbench.sinks"
+_LOOPBACK: Final = "127.0.0.1"
+#: The ports at which these tools look unless told otherwise.
+_PORTS: Final = {"foxglove": 8765, "plotjuggler": 9870, "mqtt": 1883}
+_EXPECTED: Final = "expected FILE.mcap, foxglove, plotjuggler or mqtt, the last three with :HOST:PORT where need be"
 _NANOSECONDS: Final = 1e9
 #: A broker gets a picture of the bench, not each cycle: at most one in so much bus time, s.
 _MQTT_EVERY_S: Final = 0.1
 #: Messages that wait for a broker that is away.
 _MQTT_QUEUE: Final = 100
+
+
+@dataclass(frozen=True)
+class Target:
+    """A file, a host and port (without one named this machine alone), or the address of a sink of another package."""
+
+    kind: str
+    path: Path = Path()
+    host: str = _LOOPBACK
+    port: int = 0
+    address: str = ""  #: for a sink of another package, what stands behind the colon
+
+    @property
+    def may_wait(self) -> bool:
+        """True if a bench without a real-time clock waits for it: a file has to be complete; viewers may miss some."""
+        return self.kind == "mcap"
+
+    def __str__(self) -> str:
+        if self.kind == "mcap":
+            return str(self.path)
+        return f"{self.kind} {self.host}:{self.port}" if self.kind in _PORTS else f"{self.kind} {self.address}".strip()
+
+
+def parse_target(text: str) -> Target:
+    """``run.mcap``, ``foxglove``, ``plotjuggler:9871``, ``mqtt:192.168.1.5:1883``, ``foxglove:[::1]:8765``.
+
+    Raises UnusableInputError.
+    """
+    if text.lower().endswith(".mcap"):
+        return Target("mcap", path=Path(text))
+    given, _, address = text.partition(":")
+    if given in _PORTS:
+        host, port = _address(address, text)
+        return Target(given, host=host or _LOOPBACK, port=_PORTS[given] if port is None else port)
+    if entry_points(group=SINKS, name=given):
+        return Target(given, address=address)
+    raise UnusableInputError(f"--stream {text}", _EXPECTED)
+
+
+def _address(text: str, whole: str) -> tuple[str, int | None]:
+    """Host and port of ``HOST:PORT``, ``HOST``, ``PORT`` or ``[IPv6]:PORT``."""
+    if not text:
+        return "", None
+    host, colon, port = text.rpartition(":")
+    if text.endswith("]") or (not colon and not text.isdecimal()):
+        host, port = text, ""
+    if port and (not port.isdecimal() or not 0 < int(port) < 65536):
+        raise UnusableInputError(f"--stream {whole}", f"port '{port}', expected 1 to 65535")
+    return host.strip("[]"), int(port) if port else None
+
+
+@dataclass(frozen=True)
+class Group:
+    """Signals of one message, and the place of each in a row."""
+
+    name: str
+    signals: Sequence[Signal]
+    places: Sequence[int]
+
+    @property
+    def topic(self) -> str:
+        """``/measured``."""
+        return f"/{self.name}"
+
+    def schema(self) -> dict[str, Any]:
+        """JSON Schema of its messages, with units; a value that is not finite is null."""
+        return {
+            "type": "object",
+            "title": f"hilbench.{self.name}",
+            "properties": {
+                TIME: {"type": "number", "unit": "s", "description": "experiment time, s"},
+                **{
+                    each.name: {
+                        "type": "integer" if each.integer else "number",
+                        "unit": each.unit or "1",
+                        "description": f"{each.description}{f', {each.unit}' if each.unit else ''}",
+                    }
+                    for each in self.signals
+                },
+            },
+        }
+
+    def values(self, row: Sequence[float], t_s: float) -> dict[str, float | int | None]:
+        """A message, as a program holds it."""
+        found: dict[str, float | int | None] = {TIME: t_s}
+        for signal, place in zip(self.signals, self.places, strict=True):
+            value = row[place]
+            found[signal.name] = None if not isfinite(value) else int(value) if signal.integer else value
+        return found
+
+    def text(self, row: Sequence[float], t_s: float) -> bytes:
+        """Message as JSON; numbers as the shortest text that reads back as the same binary64."""
+        return json.dumps(self.values(row, t_s), separators=(",", ":")).encode()
+
+
+def groups_of(signals: Sequence[Signal]) -> list[Group]:
+    """The groups of a bench's signals, time in each of them."""
+    places = {signal.name: place for place, signal in enumerate(signals)}
+    named = dict.fromkeys(signal.group for signal in signals if signal.name != TIME)
+    return [
+        Group(name, found, [places[signal.name] for signal in found])
+        for name in named
+        if (found := [signal for signal in signals if signal.group == name and signal.name != TIME])
+    ]
+
+
+def time_place(signals: Sequence[Signal]) -> int:
+    """Place of the time in a row."""
+    return next(place for place, signal in enumerate(signals) if signal.name == TIME)
+
+
+def rows_of(data: bytes, width: int) -> Iterator[Sequence[float]]:
+    """The rows of a piece of packed samples (binary64, in the machine's order)."""
+    values = memoryview(data).cast("d")
+    for at in range(0, len(values), width):
+        yield values[at : at + width].tolist()
 
 
 class Sink(Protocol):

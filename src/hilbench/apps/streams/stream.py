@@ -18,7 +18,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Final
 
-from hilbench.apps.streams.target import Target
+from hilbench.apps.streams.sinks import Target
 from hilbench.errors import UnusableInputError
 from hilbench.processes import ChildProcess
 from hilbench.results.result import StreamRecord

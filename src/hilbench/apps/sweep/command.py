@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
 from hilbench.apps.cli.options import ConfigArgument, JsonOption, SetOption, print_json
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
@@ -19,19 +20,18 @@ def sweep(
     config: ConfigArgument,
     vary: Annotated[
         list[str],
-        typer.Option(
-            "--vary",
+        Option(
             metavar="KEY=VALUES",
             help="a list 1,2,3; 1..3:5 for five values; 1..3 for a range to sample; repeatable: all combinations",
         ),
     ],
     changes: SetOption = None,
-    samples: Annotated[int | None, typer.Option("--samples", min=1, help="points drawn from the ranges")] = None,
-    seed: Annotated[int, typer.Option("--seed", help="of the drawn points")] = 1,
-    out: Annotated[Path, typer.Option("--out", help="folder of the sweep; the same again resumes it")] = Path("sweep"),
-    jobs: Annotated[int | None, typer.Option("--jobs", min=1, help="runs at a time", show_default="all cores")] = None,
+    samples: Annotated[int | None, Option(min=1, help="points drawn from the ranges")] = None,
+    seed: Annotated[int, Option(help="of the drawn points")] = 1,
+    out: Annotated[Path, Option(help="folder of the sweep; the same again resumes it")] = Path("sweep"),
+    jobs: Annotated[int | None, Option(min=1, help="runs at a time", show_default="all cores")] = None,
     cluster: Annotated[
-        str | None, typer.Option("--cluster", metavar="ADDRESS", help="of a Dask scheduler whose workers do the runs")
+        str | None, Option(metavar="ADDRESS", help="of a Dask scheduler whose workers do the runs")
     ] = None,
     json: JsonOption = False,
 ) -> None:

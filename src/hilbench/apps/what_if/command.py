@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import BusOption, JsonOption, print_json
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 def what_if(
     run: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             metavar="RUN",
             help="run folder, of a run that has ended or still goes on; or the config (YAML) of a bench that runs",
         ),
     ],
     asked: Annotated[
         list[str],
-        typer.Option(
+        Option(
             "--set",
             metavar="PATH=VALUE",
             help="what is asked for: line_speed_m_s, a set-point, E of the web; repeatable",
@@ -36,19 +36,12 @@ def what_if(
     ],
     over: Annotated[
         float | None,
-        typer.Option(
-            "--over",
-            metavar="S",
-            min=0.0,
-            help="reached within so long; else the speed as the bench moves it by itself",
-        ),
+        Option(metavar="S", min=0.0, help="reached within so long; else the speed as the bench moves it by itself"),
     ] = None,
-    horizon: Annotated[float, typer.Option("--horizon", metavar="S", min=0.5, max=60.0, help="how far to look")] = 10.0,
-    at: Annotated[
-        float | None, typer.Option("--at", metavar="S", help="from this time of the run on; else from its end")
-    ] = None,
-    futures: Annotated[int, typer.Option("--futures", min=16, max=1024, help="how many to draw")] = 64,
-    out: Annotated[Path | None, typer.Option("--out", help="page with all courses (HTML)")] = None,
+    horizon: Annotated[float, Option(metavar="S", min=0.5, max=60.0, help="how far to look")] = 10.0,
+    at: Annotated[float | None, Option(metavar="S", help="from this time of the run on; else from its end")] = None,
+    futures: Annotated[int, Option(min=16, max=1024, help="how many to draw")] = 64,
+    out: Annotated[Path | None, Option(help="page with all courses (HTML)")] = None,
     bus: BusOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -144,8 +137,7 @@ def _print(answer: Answer, texts: Sequence[str], when: str) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from hilbench.apps.what_if.page import levels_of, rows_of
-    from hilbench.apps.what_if.text_chart import text_chart
+    from hilbench.apps.what_if.page import levels_of, rows_of, text_chart
 
     outlook, console = answer.outlook, Console(highlight=False)
     seconds = outlook.times_s[-1] - outlook.now_s

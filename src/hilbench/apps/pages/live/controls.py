@@ -3,26 +3,130 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field, FiniteFloat, StringConstraints, TypeAdapter, ValidationError
 
-from hilbench.apps.monitor.changes import Answered, ChangeRequests
-from hilbench.apps.pages.live.control_lock import ControlLock
-from hilbench.apps.pages.live.forecast_bands import courses
+from hilbench.apps.monitor.changes import SHOWN_UNITS, Answered, ChangeRequests
 from hilbench.apps.pages.live.listener import Listener
 from hilbench.block import Strict
 from hilbench.errors import HilbenchError
+from hilbench.prediction.outlook import Outlook
 from hilbench.pydantic_messages import expected
 
+#: The seat is free again after this time without an action, and after this time without a connection, s.
+IDLE_S: Final = 120.0
+LOST_S: Final = 10.0
+#: Points of a course at most; each stands for a stretch, and has the least and largest value in it.
+_MOST_POINTS: Final = 120
+_DIGITS: Final = 5
 _NAME: Final = r"^[^\x00-\x1f\x7f<>]{1,32}$"
 Name = Annotated[str, StringConstraints(pattern=_NAME, strip_whitespace=True)]
 Key = Annotated[str, Field(max_length=8)]
 Number = Annotated[FiniteFloat, Field(strict=True)]
+
+
+@dataclass
+class _Holder:
+    viewer: str
+    name: str
+    until_s: float
+    elapsed_s: float | None = None
+
+
+class ControlLock:
+    """The seat of one bench; `viewer` is what only that viewer knows, `name` what others are shown of him."""
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
+        self._holder: _Holder | None = None
+
+    def _taken(self) -> _Holder | None:
+        holder, now_s = self._holder, self._now()
+        lost = holder is not None and holder.elapsed_s is not None and now_s - holder.elapsed_s > LOST_S
+        if holder is not None and (lost or now_s > holder.until_s):
+            self._holder = holder = None
+        return holder
+
+    @property
+    def name(self) -> str:
+        """Name of the controlling viewer; "" without one."""
+        holder = self._taken()
+        return "" if holder is None else holder.name
+
+    @property
+    def left_s(self) -> float | None:
+        """Until the seat is free unless its holder does something; None while it is."""
+        holder = self._taken()
+        return None if holder is None else holder.until_s - self._now()
+
+    def is_of(self, viewer: str) -> bool:
+        """True if that viewer controls."""
+        holder = self._taken()
+        return holder is not None and holder.viewer == viewer
+
+    def take(self, viewer: str, name: str) -> bool:
+        """Take or keep control; False where another viewer has it."""
+        holder = self._taken()
+        if holder is not None and holder.viewer != viewer:
+            return False
+        self._holder = _Holder(viewer, name, self._now() + IDLE_S)
+        return True
+
+    def use(self, viewer: str) -> bool:
+        """Something is done by who controls; False where that is not this viewer."""
+        return self.is_of(viewer) and self._holder is not None and self.take(viewer, self._holder.name)
+
+    def give_back(self, viewer: str) -> bool:
+        """Stand up; False for who does not sit."""
+        if not self.is_of(viewer):
+            return False
+        self._holder = None
+        return True
+
+    def leaves(self, viewer: str) -> None:
+        """Note that a viewer's connection is lost; he may come back."""
+        if self._holder is not None and self._holder.viewer == viewer:
+            self._holder.elapsed_s = self._now()
+
+    def comes(self, viewer: str) -> None:
+        """A viewer has a connection (again)."""
+        if self._holder is not None and self._holder.viewer == viewer:
+            self._holder.elapsed_s = None
+
+
+def courses(outlook: Outlook) -> list[dict[str, Any]]:
+    """Band of nine measurements in ten of each tension (N) and torque (N·m), its middle, and levels; `t_s`: from
+    now."""
+    t_s = outlook.times_s - outlook.now_s
+    edges = np.linspace(0, len(t_s), min(len(t_s), _MOST_POINTS), endpoint=False).astype(int)
+    shown = []
+    for place, watched in enumerate(outlook.watched):
+        if watched.unit not in SHOWN_UNITS:
+            continue
+        low, median, high = outlook.band(place)
+        shown.append(
+            {
+                "name": watched.name,
+                "unit": watched.unit,
+                "levels": {"warning": watched.warning, "trip": watched.trip},
+                "t_s": _rounded(t_s[edges]),
+                "low": _rounded(np.minimum.reduceat(low, edges)),
+                "median": _rounded(median[edges]),
+                "high": _rounded(np.maximum.reduceat(high, edges)),
+            }
+        )
+    return shown
+
+
+def _rounded(values: np.ndarray[Any, Any]) -> list[float]:
+    return [float(f"{value:.{_DIGITS}g}") for value in values]
 
 
 class Stop(Strict):

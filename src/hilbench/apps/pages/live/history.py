@@ -6,13 +6,17 @@ Nothing here waits for a viewer: who is slow finds what is there when he asks ag
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+Weight = Literal["note", "warning", "fault", "operator"]
+
+_KEPT: Final = 400
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
@@ -21,6 +25,44 @@ _FULL_S: Final = 600.0
 _MOST_SAMPLES: Final = 300_000
 #: How long a stretch is, and how long stretches of that length are kept, s.
 LEVELS: Final = ((0.02, 120.0), (0.2, 3600.0))
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line: when (experiment time, s; None where it is not known), who or what it is about, what happened."""
+
+    t_s: float | None
+    source: str
+    text: str
+    weight: Weight = "note"
+
+
+class Events:
+    """Last events of a bench, by key; `number` counts changes of the list."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self._entries: OrderedDict[object, tuple[int, int, Entry]] = OrderedDict()
+        self._known = 0
+
+    def put(self, key: object, entry: Entry) -> None:
+        """An event, new or another than it was."""
+        place, _, before = self._entries.get(key, (self._known, 0, None))
+        if before == entry:
+            return
+        self._known += before is None
+        self.number += 1
+        self._entries[key] = (place, self.number, entry)
+        if len(self._entries) > _KEPT:
+            self._entries.popitem(last=False)
+
+    def add(self, entry: Entry) -> None:
+        """An event that stays as it is."""
+        self.put(("only", self.number), entry)
+
+    def since(self, number: int) -> list[dict[str, Any]]:
+        """Events that have come or changed since the list had that number; `place` is their key."""
+        return [{"place": place, **vars(entry)} for place, changed, entry in self._entries.values() if changed > number]
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,11 @@ from contextlib import suppress
 from math import isfinite
 from typing import Any, Final
 
-from hilbench.apps.library.active_runs import continues
+from hilbench.apps.library.live_run import continues
+from hilbench.apps.monitor.changes import RecentFrames
 from hilbench.apps.monitor.condition import Condition
-from hilbench.apps.monitor.frame_buffer import RecentFrames
 from hilbench.apps.monitor.picture import BusPicture
-from hilbench.apps.pages.live.events import Entry, Events, Weight
-from hilbench.apps.pages.live.history import History
+from hilbench.apps.pages.live.history import Entry, Events, History, Weight
 from hilbench.apps.pages.live.machines.kinds import live_panels, signals_of
 from hilbench.apps.pages.live.samples import FindRun, LiveSamples
 from hilbench.bench.reports.change import Change

@@ -13,8 +13,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from hilbench.apps.pages.live.control_lock import ControlLock
-from hilbench.apps.pages.live.controls import ControlAnswer, Viewer
+from hilbench.apps.pages.live.controls import ControlAnswer, ControlLock, Viewer
 from hilbench.apps.pages.live.history import LEVELS, Stretches
 from hilbench.apps.pages.live.listener import Listener
 from hilbench.apps.pages.live.machines.kinds import drawing_of, panel_data

@@ -97,11 +97,7 @@ def panels_of(shape: Shape) -> MachinePanels:
                 "Torques",
                 "torque",
                 "N·m",
-                (
-                    Series("tau1_Nm", "measured", BLUE, 1.0),
-                    Series("tau1_sim_Nm", "simulated", VERMILLION, 1.0),
-                    *loads,
-                ),
+                (Series("tau1_Nm", "measured", BLUE, 1.0), Series("tau1_sim_Nm", "simulated", VERMILLION, 1.0), *loads),
                 limits="torque_Nm",
             ),
             Panel("residual", "Residual of the torque", "residual", "N·m", (_RESIDUAL,)),

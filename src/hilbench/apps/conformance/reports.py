@@ -1,13 +1,15 @@
-"""The page of an examination: every case with what was sent, expected and seen, and the clause."""
+"""Verdicts of an examination as a page, with what was sent, expected and seen, and as JUnit XML for CI servers."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
+from xml.etree import ElementTree
 
 from hilbench.apps.conformance.record import CaseResult, Examination, Step, Verdict
 from hilbench.apps.report.page import write_page
+from hilbench.files import written_whole
 
 #: Of how many steps that are as expected, and of how many that are not, a case shows the bytes.
 _STEPS_SHOWN = 40
@@ -44,3 +46,31 @@ def counted(verdicts: Iterable[Verdict]) -> str:
     """How many of each, for a person."""
     found = list(verdicts)
     return ", ".join(f"{found.count(verdict)} {verdict}" for verdict in Verdict if verdict in found)
+
+
+def write_junit(examination: Examination, path: Path) -> None:
+    """Write it. Raises UnusableInputError if it cannot be written."""
+    suite = ElementTree.Element("testsuite", name=f"{examination.device} (node {examination.node_id})")
+    for case in examination.cases:
+        _add(suite, case)
+    counts = examination.counts
+    suite.set("tests", str(len(suite)))
+    suite.set("failures", str(counts[Verdict.FAILED]))
+    suite.set("errors", "0")
+    suite.set("skipped", str(counts[Verdict.NOT_APPLICABLE] + counts[Verdict.NOT_ALLOWED]))
+    ElementTree.indent(suite)
+    with written_whole(path) as partial:
+        partial.write_bytes(ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True) + b"\n")
+
+
+def _add(suite: ElementTree.Element, case: CaseResult) -> None:
+    element = ElementTree.SubElement(suite, "testcase", classname=case.group, name=f"{case.name}: {case.title}")
+    if case.verdict is Verdict.FAILED:
+        failure = ElementTree.SubElement(element, "failure", message=case.reason)
+        failure.text = "\n".join(
+            f"{step.what}: sent {step.sent or 'nothing'}; expected {step.expected}; seen {step.seen}"
+            for step in case.steps
+            if not step.ok
+        )
+    elif case.verdict is not Verdict.PASSED:
+        ElementTree.SubElement(element, "skipped", message=f"{case.verdict}: {case.reason}")

@@ -1,10 +1,34 @@
-"""A web line: the demonstrator."""
+"""What `hilbench config new` asks for, and gives, by kind of machine; what nobody is asked for is in `new_benches`."""
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
 
-from hilbench.apps.commands.new_bench.machine import Answers, NewBench, rounded
+#: A key of the config, from its root.
+Place = tuple[str | int, ...]
+#: Gives the answer that stands at a place.
+Answers = Callable[[Place], Any]
+#: What is suggested: a value, or how it follows from the answers before.
+Suggested = Any | Callable[[Answers], float]
+
+
+@dataclass(frozen=True)
+class NewBench:
+    """A machine of one kind: simulated drives, and a first experiment that can be run."""
+
+    questions: tuple[tuple[str, Place, Suggested], ...]  #: question, place of the answer, what is suggested
+    follows: Mapping[Place, Callable[[Answers], float]] = field(default_factory=dict)  #: from the answers, unasked
+    virtual_io: str = "hilbench_virtual_io.eds"  #: EDS file of the twin's virtual I/O
+
+
+def rounded(value: float) -> float:
+    """Four digits: as many as the demonstrator's sizes have, from which others are scaled."""
+    return float(f"{value:.4g}")
+
+
+# -- a web line: the demonstrator
 
 _ROLLERS, _BOUNDARY, _DRIVES = ("machine", "rollers"), ("machine", "boundary"), ("machine", "drives")
 _WIDTH: Final = ("machine", "web", "width_m")
@@ -56,7 +80,7 @@ def _gain(of_demonstrator: float, answers: Answers) -> float:
     return rounded(of_demonstrator * _inertia_at_motor(answers) / _at_motor(_J, _i, _J_motor))
 
 
-NEW: Final = NewBench(
+WEB_LINE: Final = NewBench(
     questions=(
         ("Young's modulus of the web in Pa", ("machine", "web", "youngs_modulus_Pa"), 8.7e9),
         ("width of the web in m", _WIDTH, _b),
@@ -78,31 +102,49 @@ NEW: Final = NewBench(
         ("largest error of E at the end in %", ("criteria", 0, "max"), 2.0),
         ("largest error of the true tension at the end in N", ("criteria", 1, "max"), 2.0),
     ),
-    given={
-        ("load_motors", "load", "shaft"): "axis2",
-        ("machine", "web_load"): [False, True],
-        (*_DRIVES, "current_loop_time_constant_s"): 0.001,
-        ("steps",): [
-            {"ramp": {"path": "line_speed_m_s", "to": _v, "duration_s": _RAMP_S}},
-            {"hold": {"duration_s": 6.0}},
-            {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": _RAMP_S}},
-        ],
-        ("criteria",): [
-            {"name": "E at the end", "metric": "E_final_error_pct", "max": 2.0, "unit": "%"},
-            {"name": "true tension at its set-point", "metric": "tension_final_error_N", "max": 2.0, "unit": "N"},
-            {"name": "no frame lost", "metric": "lost_frames", "max": 0.0},
-        ],
-    },
-    nodes={
-        ("drives", "axis1"): 1,
-        ("drives", "axis2"): 2,
-        ("load_motors", "load"): 3,
-        ("drives", "axis1", "virtual"): 17,
-        ("drives", "axis2", "virtual"): 18,
-        ("twin", "node"): 32,
-    },
     follows={
         (*_DRIVES, "velocity_kp_Nm_s_per_rad"): lambda answers: _gain(_KP, answers),
         (*_DRIVES, "velocity_ki_Nm_per_rad"): lambda answers: _gain(_KI, answers),
     },
+)
+
+
+# -- a servo axis: one shaft, and a load motor that emulates a larger flywheel than the one that is there
+
+_TURNED, _ROTOR = ("machine", "shaft", "inertia_kg_m2"), ("machine", "motor", "inertia_kg_m2")
+_FRICTION: Final = ("machine", "shaft", "coulomb_friction_Nm")
+#: Of the example servo_axis, from which other sizes are scaled: what the motor turns, its rotor, kg·m².
+_J_TURNED, _J_ROTOR = 0.047, 0.001
+
+
+def _scaled(of_example: float, answers: Answers) -> float:
+    """A torque limit or a gain with which the axis is as fast as the example."""
+    return rounded(of_example * (answers(_TURNED) + answers(_ROTOR)) / (_J_TURNED + _J_ROTOR))
+
+
+SERVO_AXIS: Final = NewBench(
+    questions=(
+        ("inertia that the motor turns in kg·m²", _TURNED, _J_TURNED),
+        ("dry friction in N·m", _FRICTION, 0.2),
+        ("viscous friction in N·m·s", ("machine", "shaft", "viscous_friction_Nm_s_per_rad"), 0.004),
+        ("inertia of the motor's rotor in kg·m²", _ROTOR, _J_ROTOR),
+        ("torque limit of a motor in N·m", (*_DRIVES, "torque_limit_Nm"), lambda answers: _scaled(9.0, answers)),
+        (
+            "inertia of the flywheel on the stand in kg·m²",
+            ("hardware", "shaft", "inertia_kg_m2"),
+            lambda answers: rounded(0.0385 / _J_TURNED * answers(_TURNED)),
+        ),
+        (
+            "dry friction on the stand in N·m",
+            ("hardware", "shaft", "coulomb_friction_Nm"),
+            lambda answers: rounded(0.25 * answers(_FRICTION)),
+        ),
+        ("speed in rad/s", ("steps", 0, "ramp", "to"), 20.0),
+        ("largest error of the inertia at the end in %", ("criteria", 0, "max"), 2.0),
+    ),
+    follows={
+        (*_DRIVES, "velocity_kp_Nm_s_per_rad"): lambda answers: _scaled(1.5, answers),
+        (*_DRIVES, "velocity_ki_Nm_per_rad"): lambda answers: _scaled(30.0, answers),
+    },
+    virtual_io="hilbench_virtual_io_servo_axis.eds",
 )

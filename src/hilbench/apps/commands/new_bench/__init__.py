@@ -1,1 +1,0 @@
-"""What `hilbench config new` asks for, and gives, by kind of machine."""
