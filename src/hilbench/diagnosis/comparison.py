@@ -245,12 +245,13 @@ def _changed_beyond_rest(before: Explained, after: Explained) -> Diagnosis:
             kept.append(term)
             corner_Hz = max(corner_Hz, _corner_Hz(np.where(rows, made, 0.0), space.duration_s))
     found, places = concluded(after), {term.place for term in kept}
+    left_before = max(_left_Nm(before), space.predictor.floor(0))
+    unknown = found.verdict == "unknown" and _left_Nm(after) > _MORE_REST * left_before
     effects = [effect for effect in found.effects if effect.place in places]
     found = _changed(replace(found, effects=effects, verdict=""), _Joint.of(before, after, kept=True), [])
     here = {effect.place for effect in found.effects}
     trained = fit(space, weights(space, after.terms), after.terms).residual
     seen = [_slow(space, rest, corner_Hz or float("inf"))[space.split.test] for rest in (space.before, trained)]
-    unknown = _left_Nm(after) > _MORE_REST * max(_left_Nm(before), space.predictor.floor(0))
     return replace(
         found,
         verdict="unknown" if unknown else found.verdict,

@@ -35,7 +35,7 @@ from hilbench.diagnosis.select import Selection, search
 from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
-from hilbench.diagnosis.terms import Place, Term, extended, pack_with, parts
+from hilbench.diagnosis.terms import Place, Term, extended, parts
 from hilbench.diagnosis.torsional_mode import untold, with_torsional_mode
 from hilbench.diagnosis.unseen_resonance import first_unseen
 from hilbench.diagnosis.web_line.loop_check import nuisance_of
@@ -267,7 +267,7 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
     floors = {k: floor(final.residual[k]) for k in torques}
     if predictor.exact:
         floors = {k: min(value, predictor.floor(k)) for k, value in floors.items()}
-    conditions = predictor.conditions(pack_with(space.model, final.terms))
+    conditions = predictor.conditions(space.packed(final.terms))
     scale = np.array([floors[k] for k in torques])[:, None]
     names = tuple(predictor.names[k] for k in torques)
     proposer = proposer_for(predictor, space.model, data)

@@ -16,7 +16,7 @@ from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.steps import CandidateSet
 from hilbench.diagnosis.stretched_problem import basis, without
-from hilbench.diagnosis.terms import Term, pack_with
+from hilbench.diagnosis.terms import Term
 from hilbench.plant.effect import Domain
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ def identifiable_on_one_sine(space: Space, terms: list[Term], offered: Candidate
         return [True] * len(offered.candidates)
     moving = map(_is_law_of_motion, offered.candidates)
     laws = [response for response, is_law in zip(offered.responses, moving, strict=True) if is_law]
-    alike = np.concatenate([predictor.alike_on_one_sine(pack_with(space.model, terms)), offered.own, *laws])
+    alike = np.concatenate([predictor.alike_on_one_sine(space.packed(terms)), offered.own, *laws])
     counted = alike[..., predictor.rows]
     known = basis(counted[np.any(counted, axis=(1, 2))].reshape(-1, counted.shape[1] * counted.shape[2]))
     return [

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.space import Space
-from hilbench.diagnosis.terms import Term, pack_with, parts
+from hilbench.diagnosis.terms import Term, parts
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def with_torsional_mode(space: Space, terms: list[Term]) -> OnMeasuredMotion | N
         here, steps = term.coordinates(), term.steps()
         shapes = range(term.linear, len(here))
         variants += [[*others, term], *([*others, term.at(here + steps * (np.arange(len(here)) == k))] for k in shapes)]
-    parameters = np.array([pack_with(space.model, variant) for variant in variants])
+    parameters = np.array([space.packed(variant) for variant in variants])
     most_s = _MOST_FORGOTTEN * space.duration_s / space.predictor.starts
     memory_s = min(max(map(_memory_s, torsional)), most_s)
     return space.predictor.with_torsional_mode(parameters, memory_s)
