@@ -13,6 +13,7 @@ from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.diagnosis.bench_gap import figures_of_line
 from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.predictor import choice
@@ -20,7 +21,6 @@ from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.select import Selection, search
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Place
-from hilbench.diagnosis.web_line.bench_figures import figures_of_line
 from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import STATION_EFFECTS, find_effect
 from hilbench.plant.parameters import EffectEntry

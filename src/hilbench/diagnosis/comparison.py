@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from hilbench.diagnosis.candidate_ranking import TIED
 from hilbench.diagnosis.diagnosis import (
     Diagnosis,
     Explained,
@@ -31,6 +30,7 @@ from hilbench.diagnosis.fit import Fit, fit
 from hilbench.diagnosis.fit_with_residual_noise import fitted, weights
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
+from hilbench.diagnosis.measured_rules import TIED
 from hilbench.diagnosis.noise import NORMAL_95, rms
 from hilbench.diagnosis.predictor import choice
 from hilbench.diagnosis.residual_noise import uncertainty

@@ -31,13 +31,12 @@ from hilbench.diagnosis.residual_analysis import (
     misfits,
     ratios,
 )
+from hilbench.diagnosis.resonance import first_unseen, untold, with_torsional_mode
 from hilbench.diagnosis.select import Selection, search
 from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
 from hilbench.diagnosis.terms import Place, Term, extended, parts
-from hilbench.diagnosis.torsional_mode import untold, with_torsional_mode
-from hilbench.diagnosis.unseen_resonance import first_unseen
 from hilbench.diagnosis.web_line.loop_check import nuisance_of
 from hilbench.plant.effect import Effect, Section
 from hilbench.plant.model_file import Machine

@@ -23,26 +23,28 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.candidate_ranking import (
+from hilbench.diagnosis.fit import Fit
+from hilbench.diagnosis.fit_with_residual_noise import fitted, stated_uncertainty, uncertainty_of
+from hilbench.diagnosis.measured_rules import (
     LEAST_SHARE,
     RANK,
     TIED,
     WHOLE,
     Offer,
+    identifiable_on_one_sine,
+    in_both_halves,
+    in_every_band,
     in_order,
     is_beside_a_whole_order,
+    is_on_one_sine,
     least_share,
 )
-from hilbench.diagnosis.fit import Fit
-from hilbench.diagnosis.fit_with_residual_noise import fitted, stated_uncertainty, uncertainty_of
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_noise import Uncertainty
 from hilbench.diagnosis.select import Selection
 from hilbench.diagnosis.side_bands import NEAR, SideBands, is_near_present, order_of
-from hilbench.diagnosis.single_sine_identifiability import identifiable_on_one_sine, is_on_one_sine
 from hilbench.diagnosis.space import Space, noise_model
-from hilbench.diagnosis.stationarity import in_both_halves, in_every_band
 from hilbench.diagnosis.steps import CandidateSet
 from hilbench.diagnosis.stretched_problem import StretchedProblem, basis, without
 from hilbench.diagnosis.terms import Key, Place, Term, parts, strength_parts

@@ -16,10 +16,10 @@ from hilbench.apps.cli.options import print_json
 from hilbench.apps.cli.progress import ProgressDisplay
 from hilbench.apps.diagnose.page import write_diagnosis_page
 from hilbench.apps.history.entries import keep_diagnosis
+from hilbench.diagnosis.bench_gap import LiveGap, live_gap, run_bench
 from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
 from hilbench.diagnosis.emulated import emulation_beside, emulation_of
-from hilbench.diagnosis.live import LiveGap, live_gap, run_bench
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.next_experiment import NextExperiment, Step, proposed, write_steps
 from hilbench.errors import BenchFaultError, UnusableInputError
