@@ -37,7 +37,7 @@ sys.path.insert(0, str(ROOT))  # the line lies with the tests
 
 from tests.independent_line import Line, Loops, effect  # noqa: E402
 
-from hilbench.diagnosis.diagnosis import Diagnosis, concluded, diagnose  # noqa: E402
+from hilbench.diagnosis.diagnosis import Diagnosis, Explained, concluded, diagnose  # noqa: E402
 from hilbench.diagnosis.fit import fit  # noqa: E402
 from hilbench.diagnosis.measured import measured_from  # noqa: E402
 from hilbench.diagnosis.predictor import choice  # noqa: E402
@@ -184,7 +184,7 @@ def examined(case: Recorded) -> Diagnosis:
     white = noise_model(space, residual, none)
     offered = CandidateSet(white, residual, none, [], [])
     selection = Selection(fit(space, white, terms), offered, float(np.count_nonzero(space.split.train)))
-    return concluded(space, chosen, data, selection, lambda text, share: None)
+    return concluded(Explained(space, chosen, data, selection))
 
 
 def run(case: Recorded) -> Recorded:

@@ -37,7 +37,7 @@ class MachineDescription:
     page: str  #: with `drawing` and `settled`, as of `hilbench.apps.pages.live.machines.servo_axis`
     prediction: str = ""  #: with `look` and `foreseen`, as of `hilbench.bench.prediction.servo_axis`
     diagnosis: str = ""  #: with the names of `hilbench.diagnosis.servo_axis`
-    live_diagnosis: str = ""  #: with `machine` and `warm_up`, as of `hilbench.live.servo_axis.warm_up`
+    live_diagnosis: str = ""  #: `hilbench.live.machine.LiveMachine`: (config)
     commissioning: str = ""  #: `hilbench.runs.reach.Reach`: (config, place)
     fmu_export: str = ""  #: `hilbench.plant.fmu.export.machine.ExportedMachine`: (machine, drives=…, load=…)
     #: Kind whose signals its recordings have, if not its own.

@@ -16,7 +16,7 @@ from tests.bench.whole_runs import config, gone
 from tests.cli.in_process import hilbench
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.diagnosis import live
+from hilbench.diagnosis import bench_gap
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load
 
@@ -42,7 +42,7 @@ def experiment(bench):
 
 @pytest.fixture
 def in_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live, "run_experiment", partial(run_experiment, participants=Participants.IN_PROCESS))
+    monkeypatch.setattr(bench_gap, "run_experiment", partial(run_experiment, participants=Participants.IN_PROCESS))
 
 
 def start(path: Path) -> subprocess.Popen[str]:

@@ -7,10 +7,10 @@ from tests.diagnosis.analytic import Axis, Ringing
 from tests.plant.models import effect, model
 from tests.simulated_recordings import hidden_recording
 
-from hilbench.diagnosis.alternatives import Alternatives
 from hilbench.diagnosis.fit import fit
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.select import Alternatives
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.steps import Steps
 from hilbench.diagnosis.terms import Place

@@ -18,7 +18,7 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.emulated import emulation_beside, emulation_of
 from hilbench.diagnosis.measured import measured_from
-from hilbench.diagnosis.predictor import predictor_for
+from hilbench.diagnosis.predictor import choice
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
@@ -123,7 +123,7 @@ def test_a_bench_without_noise_is_predicted_to_the_resolution_of_its_drives() ->
     config, recording = bench(steps, hardware={**demo().hardware.model_dump(), **quiet})
     hidden = effect("elasticity_step", time_s=acted_s(recording), relative_change=0.15)
     plant = config.web_line.with_effects(EffectEntry.model_validate(hidden))
-    predictor = predictor_for(plant, measured_from(recording, plant, "the bench"), emulation_of(config))
+    predictor = choice(plant, measured_from(recording, plant, "the bench"), emulation_of(config)).predictor
     left = predictor.measured - predictor.predict(lay.pack(plant)[None])[0]
     for name, residual in zip(predictor.names, left[:, predictor.rows], strict=True):
         # A unit of torque is 5 mN·m, one of position 0.24 µm; a web that is there would be off by 0.1 N·m.

@@ -18,7 +18,7 @@ from tests.simulated_recordings import UNKNOWNS, hidden_recording
 from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.diagnosis import live
+from hilbench.diagnosis import bench_gap
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
@@ -218,7 +218,7 @@ def test_unusable_input_is_one_line_and_exit_2(arguments: tuple[str, ...], said:
 def test_a_bench_is_run_diagnosed_and_run_again_with_what_was_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live, "run_experiment", partial(run_experiment, participants=Participants.IN_PROCESS))
+    monkeypatch.setattr(bench_gap, "run_experiment", partial(run_experiment, participants=Participants.IN_PROCESS))
     config = tmp_path / "offset.yaml"
     steps: list[dict[str, Any]] = [{"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 1.5}}]
     for set_point_N in (80.0, 95.0, 70.0, 80.0):

@@ -12,12 +12,9 @@ import pytest
 import yaml
 from tests.plant.models import effect, lone_axis, model
 
-from hilbench.diagnosis import axis_next_experiment
-from hilbench.diagnosis.axis_next_experiment import AxisReach
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, NamedEffect, Unobservable, Value
 from hilbench.diagnosis.emulated import emulation_of
-from hilbench.diagnosis.next_experiment import LONGEST_S, duration_s, write_steps
-from hilbench.diagnosis.web_next_experiment import Reach, moves, propose
+from hilbench.diagnosis.next_experiment import LONGEST_S, Reach, duration_s, moves, propose, write_steps
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import effects_of, find_effect
 from hilbench.plant.model_file import Machine
@@ -25,7 +22,7 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import load_with_overrides
 
-REACH = Reach(top_m_s=4.0, steepest_m_s2=3.0, tension_N=80.0)
+REACH = Reach(top=4.0, steepest=3.0, tension_N=80.0)
 
 
 def left_open(
@@ -79,10 +76,10 @@ def test_friction_that_may_be_an_offset_of_strain_is_asked_by_going_back_and_for
 
 def test_where_nothing_is_left_open_nothing_is_proposed() -> None:
     assert propose(left_open(model(FRICTION)), REACH) is None
-    assert axis_next_experiment.propose(left_open(shaft("coulomb_friction", torque_Nm=0.1)), AXIS_REACH) is None
+    assert propose(left_open(shaft("coulomb_friction", torque_Nm=0.1)), AXIS_REACH) is None
 
 
-AXIS_REACH = AxisReach(top=30.0, steepest=40.0, torque_Nm=0.5)
+AXIS_REACH = Reach(top=30.0, steepest=40.0, torque_Nm=0.5)
 
 
 def shaft(name: str, **parameters: float) -> ServoAxisParameters:
@@ -103,7 +100,7 @@ def shaft(name: str, **parameters: float) -> ServoAxisParameters:
 def test_friction_that_may_be_an_offset_of_a_lone_axis_is_told_by_turning_both_ways(
     machine: Machine, path: str
 ) -> None:
-    proposed = axis_next_experiment.propose(left_open(machine, tied=["torque_offset"]), AXIS_REACH)
+    proposed = propose(left_open(machine, tied=["torque_offset"]), AXIS_REACH)
     assert proposed is not None
     assert proposed.duration_s <= LONGEST_S
     ramps = [step["ramp"] for step in proposed.steps if "ramp" in step]
@@ -116,7 +113,7 @@ def test_friction_that_may_be_an_offset_of_a_lone_axis_is_told_by_turning_both_w
 
 
 def test_no_move_of_an_axis_asks_more_than_it_has_done() -> None:
-    for steps in axis_next_experiment.moves(AXIS_REACH, "speed_rad_s").values():
+    for steps in moves(AXIS_REACH, "rad").values():
         before = 0.0
         for ramp in (step["ramp"] for step in steps if "ramp" in step):
             assert abs(ramp["to"]) <= AXIS_REACH.top
@@ -127,7 +124,7 @@ def test_no_move_of_an_axis_asks_more_than_it_has_done() -> None:
 
 def test_an_effect_that_an_axis_could_not_show_is_asked_by_a_move_that_shows_it() -> None:
     unseen = left_open(shaft("coulomb_friction", torque_Nm=0.1), blind=(("inertia_mismatch", 1),))
-    proposed = axis_next_experiment.propose(unseen, AXIS_REACH)
+    proposed = propose(unseen, AXIS_REACH)
     assert proposed is not None
     assert "steep ramps" in proposed.moves
 
@@ -138,7 +135,7 @@ def test_a_resonance_that_an_axis_could_not_show_is_asked_at_its_frequency(frequ
     shown_by = find_effect("resonance", MachineKind.SERVO_AXIS).shown_by
     unseen = Unobservable("resonance", 1, None, "1", shown_by, frequency_Hz=frequency_Hz)
     found = replace(left_open(shaft("coulomb_friction", torque_Nm=0.1)), unobservable=[unseen])
-    proposed = axis_next_experiment.propose(found, AXIS_REACH)
+    proposed = propose(found, AXIS_REACH)
     reasons = [] if proposed is None else proposed.reasons
     assert any("whether there is resonance of axis 1" in reason for reason in reasons) == shows
 
@@ -147,7 +144,7 @@ def test_every_effect_that_a_rotary_axis_described_in_metres_did_not_show_can_be
     """Of a radius of 1 m a usual eccentricity would be larger than any may be."""
     machine = lone_axis(effect("coulomb_friction", 1, force_N=1.0))
     for name in (each.id for each in effects_of(MachineKind.WEB_LINE) if each.per_axis):
-        proposed = axis_next_experiment.propose(left_open(machine, blind=((name, 1),)), AXIS_REACH)
+        proposed = propose(left_open(machine, blind=((name, 1),)), AXIS_REACH)
         assert proposed is None or proposed.duration_s <= LONGEST_S
 
 
@@ -208,7 +205,7 @@ def test_until_clear_the_bench_runs_on_with_more_steps_each_time_and_three_times
 ) -> None:
     """The bench and the search are stood in for: what is run in which order, and what is said of it."""
     from hilbench.apps.diagnose import diagnose as command
-    from hilbench.diagnosis.live import LiveGap
+    from hilbench.diagnosis.bench_gap import LiveGap
     from hilbench.results.recording import Recording
 
     ran: list[list[object]] = []

@@ -12,7 +12,7 @@ from tests.simulated_recordings import hidden_recording
 from hilbench.diagnosis.data_cleaning import mended
 from hilbench.diagnosis.diagnosis import diagnose
 from hilbench.diagnosis.measured import Measured, measured_from
-from hilbench.diagnosis.predictor import predictor_for
+from hilbench.diagnosis.predictor import choice
 from hilbench.errors import UnusableInputError
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
@@ -193,12 +193,12 @@ def test_of_a_web_the_longest_stretch_without_a_long_gap_is_taken() -> None:
 def test_a_gap_is_on_no_row_that_counts_for_either_way_to_predict() -> None:
     kept = np.concatenate([np.arange(1000), np.arange(1020, 2400)])
     data = taken(chosen(moving(), kept))
-    predictor = predictor_for(lone_axis(), data)
+    predictor = choice(lone_axis(), data).predictor
     assert not predictor.rows[(980 // predictor.every) : (1040 // predictor.every)].any()
     channels = dict(hidden_recording(model(), [], duration_s=12.0).channels)
     kept = np.concatenate([np.arange(3000), np.arange(3020, 6000)])
     web = measured_from(Recording(chosen(channels, kept)), model(), "run.csv")
-    assert not predictor_for(model(), web).rows[2900:3120].any()
+    assert not choice(model(), web).predictor.rows[2900:3120].any()
 
 
 @pytest.mark.slow

@@ -13,14 +13,14 @@ from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.diagnosis.bench_gap import figures_of_line
 from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.measured import Measured, measured_from
-from hilbench.diagnosis.predictor import choice, predictor_for
+from hilbench.diagnosis.predictor import choice
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.select import Selection, search
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Place
-from hilbench.diagnosis.web_line.bench_figures import figures_of_line
 from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import STATION_EFFECTS, find_effect
 from hilbench.plant.parameters import EffectEntry
@@ -96,7 +96,7 @@ def test_a_right_model_leaves_the_noise_and_another_more(config: Path) -> None:
     hidden = of_station("carriage_coulomb_friction", station, 15.0)
     model, right = machine(config), machine(config).with_effects(hidden)
     data = measured_from(recorded(config, hidden), model, "the bench")
-    predictor = predictor_for(model, data, emulation(config))
+    predictor = choice(model, data, emulation(config)).predictor
     assert any(f"x_{station}_meas_m" in name for name in predictor.names)
     signals = [predictor.names.index(f"tau{axis}_Nm") for axis in range(1, model.axis_count + 1)]
     left, more = (
@@ -120,7 +120,7 @@ def test_a_force_that_a_bench_has_told_a_carriage_is_no_effect(tmp_path: Path) -
     assert np.ptp(data.forces_N["dancer"]) > 20.0
 
     def left_Nm(data: Measured) -> float:
-        predictor = predictor_for(model, data, emulation_of(given.config))
+        predictor = choice(model, data, emulation_of(given.config)).predictor
         rest = predictor.measured - predictor.predict(lay.pack(model)[None])[0]
         return float(rest[predictor.names.index("tau2_Nm"), predictor.rows].std())
 

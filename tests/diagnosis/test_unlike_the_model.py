@@ -16,7 +16,7 @@ import yaml
 from tests.cli.in_process import hilbench
 from tests.independent_line import Line, Loops, effect
 
-from hilbench.diagnosis.diagnosis import Diagnosis, concluded, diagnose
+from hilbench.diagnosis.diagnosis import Diagnosis, Explained, concluded, diagnose
 from hilbench.diagnosis.fit import fit
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import choice
@@ -225,7 +225,7 @@ def known(hidden: Sequence[Mapping[str, Any]], seed: int, **line: Any) -> Diagno
     white = noise_model(space, residual, none)
     offered = CandidateSet(white, residual, none, [], [])
     selection = Selection(fit(space, white, terms), offered, float(np.count_nonzero(space.split.train)))
-    return concluded(space, chosen, data, selection, lambda text, share: None)
+    return concluded(Explained(space, chosen, data, selection))
 
 
 def errors(found: Diagnosis, hidden: Sequence[Mapping[str, Any]]) -> list[float]:

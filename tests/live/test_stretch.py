@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.emulated import emulation_of
+from hilbench.live.line import LiveLine
 from hilbench.live.segment import Segment
-from hilbench.live.web_line.machine import LiveLine
-from hilbench.live.web_line.segment import packed
 from hilbench.live.window import Window
 from hilbench.plant.web_line.emulation import Emulation, simulate_emulated
+from hilbench.plant.web_line.layout import pack
 from hilbench.plant.web_line.offline import start_state
 from hilbench.runs.config import load_with_overrides
 
@@ -47,7 +47,7 @@ def segment(taken: Array, F_next_N: Array, late: Rows) -> Segment:
     SYNCs whose answers came late."""
     told, noise = commands(), np.random.default_rng(4)
     boundary = np.column_stack([np.full(len(told), MODEL.upstream_strain), F_next_N])
-    p = packed(MODEL)
+    p = pack(MODEL)
     run = simulate_emulated(emulation(), MODEL, p, taken, boundary, state=start_state(p, MODEL))
     nominal_N = MODEL.boundary.downstream_tension_N
     channels = {"t_s": np.arange(len(told)) * CYCLE_S, "strain_prev": boundary[:, 0]}
@@ -69,7 +69,7 @@ def segment(taken: Array, F_next_N: Array, late: Rows) -> Segment:
 
 def left_by_the_right_model(found: Segment) -> dict[str, float]:
     """Mean square of what it leaves, by signal, in units of what a right model leaves."""
-    scaled = found.residual(packed(MODEL)) / found.deviations[:, None]
+    scaled = found.residual(pack(MODEL)) / found.deviations[:, None]
     means = np.mean(scaled[:, found.predictor.rows] ** 2, axis=1)
     return dict(zip(found.predictor.names, means.tolist(), strict=True))
 

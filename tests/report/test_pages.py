@@ -13,9 +13,8 @@ from hilbench.apps.compare.page import ComparedRun, write_compare_page
 from hilbench.apps.diagnose.page import write_diagnosis_page
 from hilbench.apps.report import page as report_page
 from hilbench.apps.sync.page import write_comparison
+from hilbench.diagnosis.bench_gap import LiveFigure, LiveGap
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Profile, Unobservable, Value
-from hilbench.diagnosis.live import LiveGap
-from hilbench.diagnosis.live_figure import LiveFigure
 from hilbench.diagnosis.residual_analysis import Misfit
 from hilbench.diagnosis.synchronization import Comparison, MethodResult
 from hilbench.errors import UnusableInputError

@@ -16,7 +16,6 @@ from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_noise import uncertainty
 from hilbench.diagnosis.space import Space
-from hilbench.diagnosis.terms import pack_with
 from hilbench.plant.effect import Effect
 from hilbench.plant.model_file import Machine
 
@@ -64,7 +63,7 @@ def couplings(space: Space, found: Fit) -> dict[str, tuple[float, tuple[float, f
     wide = np.concatenate([predictor.couplings[:, None], beside])[..., rows]
     known = uncertainty(wide, found.residual[..., rows])
     half = known.deviations * known.quantiles(0.95)
-    strengths = predictor.coupled_by(pack_with(space.model, found.terms))
+    strengths = predictor.coupled_by(space.packed(found.terms))
     return {
         name: (value, (value - error, value + error), "N·m" if name.endswith("_Nm") else "kg·m²")
         for (name, value), error in zip(strengths.items(), half.tolist(), strict=False)

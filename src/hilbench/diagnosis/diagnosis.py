@@ -31,13 +31,12 @@ from hilbench.diagnosis.residual_analysis import (
     misfits,
     ratios,
 )
+from hilbench.diagnosis.resonance import first_unseen, untold, with_torsional_mode
 from hilbench.diagnosis.select import Selection, search
 from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
-from hilbench.diagnosis.terms import Place, Term, extended, pack_with, parts
-from hilbench.diagnosis.torsional_mode import untold, with_torsional_mode
-from hilbench.diagnosis.unseen_resonance import first_unseen
+from hilbench.diagnosis.terms import Place, Term, extended, parts
 from hilbench.diagnosis.web_line.loop_check import nuisance_of
 from hilbench.plant.effect import Effect, Section
 from hilbench.plant.model_file import Machine
@@ -213,33 +212,49 @@ def diagnosed(
     """Diagnose what was taken from a recording."""
     chosen = choice(model, data, emulation)
     if chosen.simpler is not None:
-        found = _predicted_by(chosen.simpler, model, data, announce)
+        found = concluded(explained(chosen.simpler, model, data, announce), announce)
         if found.verdict != "unknown":
             return found
-    return _predicted_by(chosen, model, data, announce)
+    return concluded(explained(chosen, model, data, announce), announce)
 
 
-def _predicted_by(chosen: Choice, model: Machine, data: Measured, announce: Announce) -> Diagnosis:
+@dataclass(frozen=True)
+class Explained:
+    """A recording, and the terms that a search has found beyond its model."""
+
+    space: Space
+    chosen: Choice
+    data: Measured
+    selection: Selection
+
+    @property
+    def terms(self) -> list[Term]:
+        """Terms that were found."""
+        return self.selection.fit.terms
+
+
+def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce) -> Explained:
+    """Search for what the model lacks, by a prediction."""
     predictor = chosen.predictor
     space = Space(model, predictor, data.period_s)
     proposer = proposer_for(predictor, model, data)
     if predictor.exact:
-        selection = search(space, proposer, announce, predictor.every)
-    else:
-        as_simple = simple_beside(predictor)
+        return Explained(space, chosen, data, search(space, proposer, announce, predictor.every))
+    as_simple = simple_beside(predictor)
+    selection = MeasuredSearch(space, proposer, announce, as_simple).run()
+    if (settled := with_torsional_mode(space, selection.fit.terms)) is not None:
+        chosen, space = replace(chosen, predictor=settled), Space(model, settled, data.period_s)
         selection = MeasuredSearch(space, proposer, announce, as_simple).run()
-        if (settled := with_torsional_mode(space, selection.fit.terms)) is not None:
-            chosen, space = replace(chosen, predictor=settled), Space(model, settled, data.period_s)
-            selection = MeasuredSearch(space, proposer, announce, as_simple).run()
-        if few := untold(space, selection.fit):  # found given the others it is as little identified: once more without
-            proposer = proposer_for(predictor, model, data, {term.effect.id for term in few})
-            selection = replace(MeasuredSearch(space, proposer, announce, as_simple).run(), of_too_few=few)
-    return concluded(space, chosen, data, selection, announce)
+    if few := untold(space, selection.fit):  # found given the others it is as little identified: once more without
+        proposer = proposer_for(predictor, model, data, {term.effect.id for term in few})
+        selection = replace(MeasuredSearch(space, proposer, announce, as_simple).run(), of_too_few=few)
+    return Explained(space, chosen, data, selection)
 
 
-def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection, announce: Announce) -> Diagnosis:
+def concluded(found: Explained, announce: Announce = lambda text, share: None) -> Diagnosis:
     """The verdict on what a search has found; effects with their intervals, gaps, and where they were."""
     announce("judge the residual", 0.95)
+    space, chosen, data, selection = found.space, found.chosen, found.data, found.selection
     predictor = chosen.predictor
     before = space.before
     rows = predictor.rows
@@ -251,13 +266,13 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
     floors = {k: floor(final.residual[k]) for k in torques}
     if predictor.exact:
         floors = {k: min(value, predictor.floor(k)) for k, value in floors.items()}
-    conditions = predictor.conditions(pack_with(space.model, final.terms))
+    conditions = predictor.conditions(space.packed(final.terms))
     scale = np.array([floors[k] for k in torques])[:, None]
     names = tuple(predictor.names[k] for k in torques)
     proposer = proposer_for(predictor, space.model, data)
     after = misfits(names, final.residual[torques] / scale, rows, conditions)
     unexplained = [m for m in after if m.significant]
-    found = misfits(names, before[torques] / scale, rows, conditions)
+    depends = misfits(names, before[torques] / scale, rows, conditions)
     if predictor.exact:
         unexplained += _beyond_noise(space, final)
         unknown = bool(unexplained) or max(ratios(final.residual, rows, floors).values()) > largest_ratio(rows)
@@ -288,10 +303,10 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         effects=effects,
         gaps=gaps,
         where=_where(where),
-        profiles=_profiles(found, after, floor_of, max(gaps, key=_size).signal),
+        profiles=_profiles(depends, after, floor_of, max(gaps, key=_size).signal),
         unexplained=unexplained,
         unobservable=[
-            *_unobservable(selection),
+            *unobservable(selection),
             *_waves_too_fast(space, proposer, selection),
             *_unseen_resonances(space, proposer, selection),
             *map(_asked, [*too_few, *selection.untold]),
@@ -540,8 +555,9 @@ def _profiles(before: list[Misfit], after: list[Misfit], floors: dict[str, float
     return result
 
 
-def _unobservable(selection: Selection) -> list[Unobservable]:
-    """Effects of which a change of the usual size would drown in the noise of these data."""
+def unobservable(selection: Selection, least_Nm: Callable[[Array], float] | None = None) -> list[Unobservable]:
+    """Effects of which a change of the usual size would drown in the noise of these data, or make a torque (n,) of less
+    than an rms that depends on it."""
     offered, result = selection.candidates, []
     seen = {term.place for term in selection.untold}
     for candidate, response in zip(offered.candidates, offered.responses, strict=True):
@@ -551,6 +567,8 @@ def _unobservable(selection: Selection) -> list[Unobservable]:
         effect = candidate.effect
         information = float(np.sum(offered.whitening.apply(response)[0] ** 2))
         smallest = _VISIBLE / np.sqrt(information) if information > 0.0 else None
+        if smallest is not None and least_Nm is not None:
+            smallest = max(smallest, least_Nm(response[0, 0]) / rms(response[0, 0]))
         if smallest is None or smallest > candidate.size:
             visible = None if smallest is None else rounded(float(smallest))
             unit = effect.parameter(effect.strength[0]).unit

@@ -19,7 +19,7 @@ from hilbench.diagnosis.residual_noise import (
     with_noisy_columns,
 )
 from hilbench.diagnosis.space import Space
-from hilbench.diagnosis.terms import Term, pack_with
+from hilbench.diagnosis.terms import Term
 from hilbench.plant.effect import Domain
 from hilbench.plant.effects import find_effect
 
@@ -69,7 +69,7 @@ def stated_uncertainty(space: Space, found: Fit) -> Uncertainty:
         return known
     alone = replace(space, predictor=predictor.uncoupled)
     beside = alone.point(found.terms, alone.residual(found.terms)).derivatives[:, 0]
-    noisy, explained = predictor.by_accelerations(pack_with(space.model, found.terms))
+    noisy, explained = predictor.by_accelerations(space.packed(found.terms))
     wide = np.concatenate([predictor.couplings, beside])[:, rows]
     return with_noisy_columns(known, wide, found.residual[0, rows], noisy[..., rows], explained[:, rows])
 
@@ -83,6 +83,6 @@ def _identifies_inertia(term: Term) -> bool:
 def _on_one_sine(space: Space, found: Fit, predictor: OnMeasuredMotion, waves: Array) -> Uncertainty:
     """Uncertainty on one sine, from its periodic part (waves, n) alone, and how friction turns over."""
     derivatives = space.point(found.terms, found.residual).derivatives
-    shapes = predictor.doubt_of_turning(pack_with(space.model, found.terms))
+    shapes = predictor.doubt_of_turning(space.packed(found.terms))
     rows = predictor.rows
     return by_waves(derivatives[:, 0, rows], found.residual[0, rows], shapes[:, 0, rows], waves[:, rows])

@@ -1,5 +1,7 @@
-"""The next experiment: of a small library of moves the one, or two, that identify most of what is tied or not
-shown. What a move identifies depends on the kind of machine: `web_next_experiment`, `axis_next_experiment`."""
+"""The next experiment: of a small library of moves the one, or two, that identify most of what is tied or not shown.
+
+Of a web machine by simulation, of a lone axis by the torque that its motion needs.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +15,23 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from hilbench import strict_yaml
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect
+from hilbench.diagnosis.measured import Measured, measured_from
+from hilbench.diagnosis.noise import rms
 from hilbench.diagnosis.terms import Place
+from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.files import write_whole
 from hilbench.plant.effect import MachineSizes
 from hilbench.plant.effects import EFFECTS
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.web_line.emulation import Emulation
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.results.recording import Recording
 
 Array = NDArray[np.float64]
 Step = dict[str, dict[str, Any]]
@@ -37,6 +46,64 @@ _ENOUGH, _TIE = 100.0, 20.0
 RAMP_S, STEEP_S = 1.5, 0.2
 #: Every experiment begins with it, s.
 START_S: Final = 0.5
+#: Paths of the speed, by the unit of a lone axis' position, and of the tension.
+_SPEED: Final = {"rad": "speed_rad_s", "m": "line_speed_m_s"}
+_TENSION: Final = "tension_control.set_point_N"
+#: Period with which moves are simulated, s; how long a drive takes to follow a corner of its command, s.
+_PERIOD_S, _FOLLOWS_S = 0.002, 0.01
+#: Share of the top speed below which a lone axis stands, where dry friction is not one law but many; what is left on
+#: its measured motion is not white: so far apart are samples that count as one each, s.
+_STANDSTILL, _APART_S = 0.01, 0.05
+#: Levels of a speed that a move goes through: share of the top speed, least time to it, time at it, s.
+_Levels = Sequence[tuple[float, float, float]]
+_SLOWLY: Final = [(share, 0.5, 1.5) for share in (0.08, -0.08) * 2]
+_OF_A_LINE: Final[Mapping[str, _Levels]] = {
+    "slowly forward and back": _SLOWLY,
+    "levels of speed": [(share, RAMP_S, 2.0) for share in (0.25, 0.5, 0.75, 1.0)],
+    "creep": [(0.02, 0.6, 4.0), (0.1, 0.6, 3.0), (0.3, 0.6, 2.0)],
+    "steep ramps": [(0.4, RAMP_S, 1.0), *((share, 0.0, 1.0) for share in (0.7, 0.4) * 3)],
+}
+_OF_AN_AXIS: Final[Mapping[str, _Levels]] = {
+    "forward and back": [(share, RAMP_S, 1.5) for share in (0.5, -0.5)],
+    "slowly forward and back": _SLOWLY,
+    "levels of speed in both directions": [
+        (sign * share, RAMP_S, 0.8) for sign in (1.0, -1.0) for share in (0.25, 0.5, 0.75, 1.0)
+    ],
+    "creep": [(0.02, 0.6, 3.0), (0.1, 0.6, 2.0), (0.3, 0.6, 1.0)],
+    "steep ramps": [(0.4, RAMP_S, 0.5), *((share, 0.0, 0.5) for share in (0.8, 0.4) * 3)],
+    "a slow ramp": [(1.0, 10.0, 0.5)],
+}
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Range that a machine has covered already, and may be asked for again; in its unit of position per s and s²."""
+
+    top: float
+    steepest: float
+    tension_N: float | None = None  #: usual set point; None where none may be set
+    torque_Nm: float = 1.0  #: usual, rms
+
+    @classmethod
+    def of_axis(cls, data: Measured) -> Reach:
+        """By how a lone axis moved."""
+        apart = max(1, round(STEEP_S / data.period_s))
+        x = data.x_m[1]
+        speed = (x[apart:] - x[:-apart]) / (apart * data.period_s)
+        return cls(float(np.max(np.abs(speed))), _steepest(speed, apart), None, rms(data.tau_Nm[1]))
+
+    @classmethod
+    def of_line(cls, recording: Recording, axes: int = 2) -> Reach:
+        """By the commands of a web machine of some axes; of one span the tension is set as well."""
+        speed = np.asarray(recording[f"v{axes}_cmd_m_s"], np.float64)
+        apart = max(1, round(STEEP_S / float(np.median(np.diff(recording.time_s)))))
+        wanted = float(np.median(np.asarray(recording["F_ref_N"], np.float64))) if "F_ref_N" in recording else 0.0
+        return cls(float(np.max(np.abs(speed))), _steepest(speed, apart), wanted if wanted > 0.0 else None)
+
+
+def _steepest(speed: Array, apart: int) -> float:
+    """Highest rate of a speed (n,) over so many rows, which take `STEEP_S`."""
+    return float(np.max(np.abs(speed[apart:] - speed[:-apart]))) / STEEP_S
 
 
 @dataclass(frozen=True)
@@ -82,23 +149,142 @@ def hold(duration_s: float) -> Step:
     return {"hold": {"duration_s": round(duration_s, 3)}}
 
 
-def through(
-    path: str, top: float, steepest: float, levels: Sequence[tuple[float, float, float]], last: Sequence[Step] = ()
-) -> list[Step]:
-    """Steps through levels of a speed to standstill: share of the top speed, least time to it, time at it, s.
-
-    path: of the speed; top and steepest: its highest value and rate. last: steps before the ramp to standstill.
-    """
+def through(path: str, reach: Reach, levels: _Levels, last: Sequence[Step] = ()) -> list[Step]:
+    """Steps through levels of a speed to standstill; path: of the speed; last: steps before the ramp to standstill."""
     steps: list[Step] = []
     speed = 0.0
     for share, least_s, stay_s in [*levels, (0.0, RAMP_S, 0.5)]:
-        to = share * top
+        to = share * reach.top
         if share == 0.0:
             steps += last
-        takes_s = max(least_s, STEEP_S, abs(to - speed) / steepest)
+        takes_s = max(least_s, STEEP_S, abs(to - speed) / reach.steepest)
         steps += [{"ramp": {"path": path, "to": round(to, 4), "duration_s": round(takes_s + 5e-4, 3)}}, hold(stay_s)]
         speed = to
     return steps
+
+
+def moves(reach: Reach, lone_unit: str | None = None) -> dict[str, list[Step]]:
+    """The library: each move from standstill to standstill, by what it is; those that take too long are left out.
+
+    lone_unit: unit of the position of a lone axis; None of a web machine.
+    """
+    path, library = (_SPEED["m"], _OF_A_LINE) if lone_unit is None else (_SPEED[lone_unit], _OF_AN_AXIS)
+    found = {name: through(path, reach, levels) for name, levels in library.items()}
+    if lone_unit is None and reach.tension_N is not None:
+        asked = [round(share * reach.tension_N, 3) for share in (1.25, 0.8, 1.15, 1.0)]
+        between = [step for to in asked for step in ({"set": {"path": _TENSION, "to": to}}, hold(2.2))]
+        found["steps of tension"] = through(path, reach, [(0.6, RAMP_S, 1.5)], between)
+    return {name: steps for name, steps in found.items() if START_S + duration_s(steps) <= LONGEST_S}
+
+
+def proposed(found: Diagnosis, recording: Recording, place: str | Path) -> NextExperiment | None:
+    """What would tell more than the recording; of a web that moved by other commands nothing is known to propose."""
+    axes = found.model.axis_count
+    if machines.is_lone(found.model):
+        return propose(found, Reach.of_axis(measured_from(recording, found.model, place)))
+    # Of a line with stations no move of the library is known to be one.
+    if machines.has_stations(found.model) or f"v{axes}_cmd_m_s" not in recording:
+        return None
+    return propose(found, Reach.of_line(recording, axes))
+
+
+def propose(found: Diagnosis, reach: Reach) -> NextExperiment | None:
+    """The move, or two, that would tell most of what `found` leaves open; None where no move would tell of it.
+
+    Each is predicted with the model that was found, with and without what is asked; how far the predictions lie apart,
+    in units of the noise and with the other explanation fitted, is what it would tell.
+    """
+    model, kind = found.model, machines.of_kind(found.model)
+    lone = machines.is_lone(model)
+    if not lone and getattr(model, "web", None) is None:
+        return None
+    sampled_s = _PERIOD_S if lone else None
+    questions = list(questions_of(found, lambda axis: kind.sizes(model, axis, reach.top, reach.torque_Nm, sampled_s)))
+
+    def is_identified(steps: list[Step]) -> Array:
+        predicted = _axis_torque(steps, found, reach) if lone else _line_signals(steps, found, reach)
+        return np.array([question.is_identified(predicted(question.models)) for question in questions])
+
+    return best(moves(reach, model.position_unit if lone else None), questions, is_identified)
+
+
+def _axis_torque(steps: list[Step], found: Diagnosis, reach: Reach) -> Callable[[list[Machine]], Array]:
+    """What models (B,) make of the torque of an axis that follows the steps (B, n), in units of the noise."""
+    exact, kind = found.emulation is not None, machines.of_kind(found.model)
+    noise_Nm = found.gap.noise_floor if exact else max(found.gap.noise_floor, found.gap.after)
+    t, times, speeds, _ = _profile(steps)
+    v = gaussian_filter1d(np.interp(t, times, speeds), _FOLLOWS_S / _PERIOD_S)
+    x, a = np.cumsum(v) * _PERIOD_S, np.gradient(v, _PERIOD_S)
+    rows = np.flatnonzero(np.abs(v) > _STANDSTILL * reach.top)[:: 1 if exact else round(_APART_S / _PERIOD_S)]
+
+    def predicted(models: list[Machine]) -> Array:
+        torques = np.empty((len(models), len(v)))
+        for one, out in zip(models, torques, strict=True):
+            kind.required_torque_Nm(kind.pack(one), x, v, a, _PERIOD_S, out)
+        return np.asarray(torques[:, rows] / max(noise_Nm, 1e-300))
+
+    return predicted
+
+
+def _line_signals(steps: list[Step], found: Diagnosis, reach: Reach) -> Callable[[list[Machine]], Array]:
+    """What models (B,) make of the signals of a line that is commanded the steps (B, signals·n), in units of the
+    noise."""
+    model = found.model
+    assert isinstance(model, ModelParameters), "a machine with a web"
+    emulation = found.emulation if isinstance(found.emulation, Emulation) else None
+    predictor = FreeRun(model, _as_measured(steps, model, reach), emulation)
+    noise = {gap.signal: gap.noise_floor for gap in found.gaps}
+    sigma = np.array([noise.get(name, 0.0) for name in predictor.names])
+    sigma = np.where(sigma > 0.0, sigma, predictor.tolerances)
+    kept = np.flatnonzero(sigma > 0.0)
+
+    def predicted(models: list[Machine]) -> Array:
+        rows = predictor.predict(np.array([machines.of_kind(model).pack(one) for one in models]))
+        return np.asarray((rows[:, kept] / sigma[kept, None])[:, :, predictor.rows].reshape(len(models), -1))
+
+    return predicted
+
+
+def _as_measured(steps: list[Step], model: ModelParameters, reach: Reach) -> Measured:
+    """Commands of a bench for the steps: speeds, and the strain of the tension set-point."""
+    t, times, speeds, set_points = _profile(steps)
+    usual = reach.tension_N or model.boundary.upstream_tension_N
+    tensions = np.array([usual if to is None else to for to in set_points])
+    tension = tensions[np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(tensions) - 1)]
+    strains = [np.full_like(t, model.upstream_strain)]
+    strains += [tension / model.stiffness_N(span) for span in range(1, model.span_count + 1)]
+    strains.append(np.full_like(t, model.downstream_strain))
+    of_axes = [np.interp(t, times, speeds)]
+    for span in range(model.span_count, 0, -1):
+        before, here, behind = strains[span - 1 : span + 2]
+        entering = np.where(of_axes[-1] >= 0.0, here - before, behind - here)
+        of_axes.append(of_axes[-1] * (1.0 - entering))
+    n, axes = len(t), range(1, model.axis_count + 1)
+    zero = np.zeros(n)
+    return Measured(
+        t_s=t,
+        period_s=_PERIOD_S,
+        commands_m_s=np.column_stack(of_axes[::-1]),
+        boundary=np.tile([model.upstream_strain, model.boundary.downstream_tension_N], (n, 1)),
+        tau_Nm=dict.fromkeys(axes, zero),
+        x_m=dict.fromkeys(axes, zero),
+        v_m_s={},
+    )
+
+
+def _profile(steps: Sequence[Step]) -> tuple[Array, list[float], list[float], list[float | None]]:
+    """Times of the rows (n,), s; times of the corners, and speeds and set points of the tension from there on (None:
+    the usual one)."""
+    times, speeds, tensions = [0.0], [0.0], list[float | None]([None])
+    for step in steps:
+        ((kind, what),) = step.items()
+        if kind == "set":
+            tensions[-1] = what["to"]
+            continue
+        times.append(times[-1] + what["duration_s"])
+        speeds.append(what["to"] if kind == "ramp" else speeds[-1])
+        tensions.append(tensions[-1])
+    return np.asarray(np.arange(round(times[-1] / _PERIOD_S)) * _PERIOD_S, np.float64), times, speeds, tensions
 
 
 def duration_s(steps: Sequence[Step]) -> float:
@@ -132,7 +318,7 @@ def best(
         return None
     gains = np.sum([of_move[name] for name in chosen], axis=0)
     reasons = [
-        f"{q.text}: chi-square {g:.3g}, {'is_identified' if g > q.least else 'not told'} from {q.least:g} on"
+        f"{q.text}: chi-square {g:.3g}, {'told' if g > q.least else 'not told'} from {q.least:g} on"
         for q, g in zip(questions, gains, strict=True)
         if g > q.least or q.weight > 1.0
     ]

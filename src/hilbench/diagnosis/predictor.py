@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 import numpy as np
@@ -92,8 +92,3 @@ def choice(model: Machine, data: Measured, emulation: AnyEmulation | None = None
 def is_cycle(cycles: float) -> bool:
     """True if a row of a bench's recording is whole cycles after the one before."""
     return cycles > 0.5 and abs(cycles - round(cycles)) <= _UNEVEN_CYCLES
-
-
-def predictor_for(model: Machine, data: Measured, emulation: AnyEmulation | None = None) -> Predictor:
-    """Prediction that `choice` chooses, of an axis by itself."""
-    return choice(model, replace(data, other_rad=None), emulation).predictor

@@ -23,26 +23,28 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.candidate_ranking import (
+from hilbench.diagnosis.fit import Fit
+from hilbench.diagnosis.fit_with_residual_noise import fitted, stated_uncertainty, uncertainty_of
+from hilbench.diagnosis.measured_rules import (
     LEAST_SHARE,
     RANK,
     TIED,
     WHOLE,
     Offer,
+    identifiable_on_one_sine,
+    in_both_halves,
+    in_every_band,
     in_order,
     is_beside_a_whole_order,
+    is_on_one_sine,
     least_share,
 )
-from hilbench.diagnosis.fit import Fit
-from hilbench.diagnosis.fit_with_residual_noise import fitted, stated_uncertainty, uncertainty_of
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_noise import Uncertainty
 from hilbench.diagnosis.select import Selection
-from hilbench.diagnosis.side_bands import NEAR, is_near_present, order_of, side_bands, without_side_bands
-from hilbench.diagnosis.single_sine_identifiability import identifiable_on_one_sine, is_on_one_sine
+from hilbench.diagnosis.side_bands import NEAR, SideBands, is_near_present, order_of
 from hilbench.diagnosis.space import Space, noise_model
-from hilbench.diagnosis.stationarity import in_both_halves, in_every_band
 from hilbench.diagnosis.steps import CandidateSet
 from hilbench.diagnosis.stretched_problem import StretchedProblem, basis, without
 from hilbench.diagnosis.terms import Key, Place, Term, parts, strength_parts
@@ -78,6 +80,7 @@ class MeasuredSearch:
         self._space, self._proposer, self._announce = space, proposer, announce
         self._as_simple = as_simple
         self._rows = space.predictor.rows
+        self._bands: tuple[Fit, SideBands] | None = None  # last fit that they were asked of
 
     def run(self) -> Selection:
         """Add what explains more than a small share, the simple first; then drop what is not certain given all others.
@@ -118,10 +121,11 @@ class MeasuredSearch:
         """Rows of (…, signals, n) that count."""
         return values[..., self._rows]
 
-    def _left_beside(self, found: Fit, current: Fit) -> float:
-        """Sum of squares without the side bands of what was there before."""
-        beside = without_side_bands(self._space, found, side_bands(self._space, self._proposer, current))
-        return float(np.sum(self._counted(beside) ** 2))
+    def _side_bands(self, current: Fit) -> SideBands:
+        """Those of the terms that are there."""
+        if self._bands is None or self._bands[0] is not current:
+            self._bands = current, SideBands(self._space, self._proposer, current.terms)
+        return self._bands[1]
 
     # -- candidates ----------------------------------------------------------------------------------------
 
@@ -131,7 +135,8 @@ class MeasuredSearch:
         candidates = [t for t in self._proposer.plain() if not any(map(t.overlaps, current.terms))]
         responses = space.strengths(current.terms, current.residual, candidates)
         own = space.point(current.terms, current.residual).derivatives
-        moving = np.concatenate([own, *(r for t, r in zip(candidates, responses, strict=True) if not t.has_phase)])
+        laws = np.concatenate([own, *(r for t, r in zip(candidates, responses, strict=True) if not t.has_phase)])
+        moving = basis(self._counted(laws).reshape(len(laws), -1))
         is_identified = [
             not term.has_phase
             or term.effect.id in self._as_simple
@@ -153,7 +158,7 @@ class MeasuredSearch:
         orders, and a drive's loop that answers in another phase in each direction splits their peak.
         """
         found: list[Term] = []
-        beside = without_side_bands(self._space, current, side_bands(self._space, self._proposer, current))
+        beside = self._side_bands(current).taken_out_of(current.residual)
         for apply in (lambda values: values, white.apply):
             left = self._masked(apply(beside))
             named = dict(zip(self._space.predictor.names, left, strict=True))
@@ -165,10 +170,9 @@ class MeasuredSearch:
         found = [term for term in found if not is_near_present(self._space, self._proposer, term, current)]
         return found + [whole for term in found for whole in self._proposer.at_whole_orders(term)]
 
-    def _own_share_beside(self, others: Array, response: Array) -> float:
-        """Share of a response (J, signals, n) that others (K, signals, n) leave of it in the rows that count."""
+    def _own_share_beside(self, known: Array, response: Array) -> float:
+        """Share of a response (J, signals, n) that a basis (B, signals·rows) leaves of it in the rows that count."""
         counted = self._counted(response)
-        known = basis(self._counted(others).reshape(len(others), -1))
         return float(np.sum(without(counted, known) ** 2)) / max(float(np.sum(counted**2)), 1e-300)
 
     def _masked(self, values: Array) -> Array:
@@ -176,26 +180,25 @@ class MeasuredSearch:
         return np.where(self._rows, values, 0.0)
 
     def _linear(
-        self, residual: Array, own: Array, offered: CandidateSet, beside: Array | None = None
+        self, residual: Array, own: Array, offered: CandidateSet, beside: SideBands | None = None
     ) -> StretchedProblem:
         """Linear problem of the terms' own columns and of the candidates.
 
-        beside: columns (J, signals, n) of which nothing is looked at: projected out of all the others beforehand,
-        because their amounts in one stretch do not hold in the others.
+        beside: columns of which nothing is looked at: projected out of all the others beforehand, because their amounts
+        in one stretch do not hold in the others.
         """
         columns = self._counted(np.concatenate([own, *offered.responses]))
         counted = self._counted(residual)
         raw = np.sum(columns**2, axis=(1, 2))
-        if beside is not None and len(beside):
-            known = basis(self._counted(beside).reshape(len(beside), -1))
-            columns, counted = without(columns, known), without(counted[None], known)[0]
+        if beside is not None and len(beside.columns):
+            columns, counted = without(columns, beside.basis), without(counted[None], beside.basis)[0]
         return StretchedProblem.of(counted, columns, raw)
 
     # -- additions ---------------------------------------------------------------------------------------
 
     def _with_one_more(self, current: Fit, offered: CandidateSet) -> Fit | None:
         """The fit with the candidate that explains most of those that are certain; the simple ones go first."""
-        problem = self._linear(offered.residual, offered.own, offered, side_bands(self._space, self._proposer, current))
+        problem = self._linear(offered.residual, offered.own, offered, self._side_bands(current))
         mine, groups = list(range(len(offered.own))), offered.groups(len(offered.own))
         simple = [
             column
@@ -238,7 +241,8 @@ class MeasuredSearch:
         offers = [offer for offer in offers if not is_beside_a_whole_order(offer, whole)]
         for offer in in_order(offers, self._as_simple)[:_CONTENDERS]:
             found = fitted(self._space, [*current.terms, offer.term])
-            if self._left_beside(found, current) < (1.0 - least_share(offer.term)) * before:
+            left = self._counted(self._side_bands(current).taken_out_of(found.residual))
+            if float(np.sum(left**2)) < (1.0 - least_share(offer.term)) * before:
                 return found
         return None
 
@@ -317,17 +321,15 @@ class MeasuredSearch:
 
         Of what is no wave beside the side bands of the waves: a delay makes up for a phase that changes with the speed.
         """
-        point = self._space.point(current.terms, current.residual)
-        bands = side_bands(self._space, self._proposer, current)
-        shares = []
+        own = self._space.point(current.terms, current.residual).derivatives
+        both, shares = np.concatenate([own, self._side_bands(current).columns]), []
+        problems = [StretchedProblem.of(self._counted(current.residual), self._counted(each)) for each in (both, own)]
         for term, part in zip(current.terms, parts(current.terms), strict=True):
-            own = range(part.start, part.stop)
-            columns = point.derivatives if term.has_phase else np.concatenate([point.derivatives, bands])
-            counted = self._counted(columns)
-            here = StretchedProblem.of(self._counted(current.residual), counted).left(list(range(len(columns))))[0]
-            back = self._counted(current.residual + np.tensordot(term.moved, point.derivatives[part][: term.linear], 1))
-            without = StretchedProblem.of(back, counted).left([c for c in range(len(columns)) if c not in own])[0]
-            shares.append(1.0 - here / max(without, 1e-300))
+            problem = problems[term.has_phase]
+            everything = range(len(problem.raw))
+            here = problem.left(list(everything))[0]
+            back = problem.with_back(everything[part][: term.linear], term.moved)
+            shares.append(1.0 - here / max(back.left([c for c in everything if c not in everything[part]])[0], 1e-300))
         return shares
 
     def _tied(self, current: Fit, offered: CandidateSet, wandering: set[Place]) -> dict[Key, list[Place]]:
@@ -339,8 +341,7 @@ class MeasuredSearch:
         for term, part in zip(current.terms, parts(current.terms), strict=True):
             mine = [c for c in range(count) if c not in range(part.start, part.stop)]
             # The residual without the term, as far as it is linear in it.
-            back = np.tensordot(term.moved, offered.own[part][: term.linear], 1)
-            without = self._linear(current.residual + back, offered.own, offered)
+            without = problem.with_back(range(count)[part][: term.linear], term.moved)
             tied[term.key] = []
             for other, group in zip(offered.candidates, groups, strict=True):
                 if other.place in {term.place, *wandering, *tied[term.key]}:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.stretched_problem import spanning
 from hilbench.diagnosis.terms import Term
 
 Array = NDArray[np.float64]
@@ -19,44 +21,54 @@ NEAR: Final = 0.5
 _MOST_SIDE_BANDS: Final = 20.0
 
 
-def side_bands(space: Space, proposer: Proposer, current: Fit) -> Array:
-    """Waves (J, signals, n) near the orders and frequencies of the present terms.
+class SideBands:
+    """Waves near the orders and frequencies of terms: `columns` (J, signals, n), and what spans them where rows count.
 
     A loop answers to an order in another phase at every speed and in each direction. What that leaves of the order
     is neither an order beside it nor anything else. Where an axis goes there and back each wave has another size
     and phase either way.
     """
-    columns = []
-    for term in current.terms:
-        name, angle = proposer.searched_angle_rad(term, space.predictor.every)
-        if name is None:
-            continue
-        turns = float(np.ptp(angle)) / (2.0 * np.pi)
-        step = max(0.5 / turns, NEAR / _MOST_SIDE_BANDS)
-        offsets = step * np.arange(-int(NEAR / step), int(NEAR / step) + 1)
-        waves = np.exp(1j * np.outer(term.values[name] + offsets, angle))
-        both = np.concatenate([waves.real, waves.imag])
-        columns.append(both)
-        forward = np.gradient(angle) > 0.0
-        counted = forward[space.predictor.rows]
-        if term.axis is not None and np.any(counted) and not np.all(counted):
-            columns.append(np.where(forward, both, -both))
-    signals, n = current.residual.shape
-    if not columns:
-        return np.empty((0, signals, n))
-    found = np.concatenate(columns)
-    return np.concatenate([found[:, None, :] * np.eye(signals)[k][None, :, None] for k in range(signals)])
 
+    def __init__(self, space: Space, proposer: Proposer, terms: list[Term]) -> None:
+        columns = []
+        for term in terms:
+            name, angle = proposer.searched_angle_rad(term, space.predictor.every)
+            if name is None:
+                continue
+            turns = float(np.ptp(angle)) / (2.0 * np.pi)
+            step = max(0.5 / turns, NEAR / _MOST_SIDE_BANDS)
+            offsets = step * np.arange(-int(NEAR / step), int(NEAR / step) + 1)
+            waves = np.exp(1j * np.outer(term.values[name] + offsets, angle))
+            both = np.concatenate([waves.real, waves.imag])
+            columns.append(both)
+            forward = np.gradient(angle) > 0.0
+            counted = forward[space.predictor.rows]
+            if term.axis is not None and np.any(counted) and not np.all(counted):
+                columns.append(np.where(forward, both, -both))
+        signals, n = space.predictor.measured.shape
+        self.columns, self._rows = np.empty((0, signals, n)), space.predictor.rows
+        if columns:
+            found = np.concatenate(columns)
+            alone = [found[:, None, :] * np.eye(signals)[k][None, :, None] for k in range(signals)]
+            self.columns = np.concatenate(alone)
 
-def without_side_bands(space: Space, current: Fit, bands: Array) -> Array:
-    """The residual (signals, n) without what side bands explain of it."""
-    rows = space.predictor.rows
-    residual = current.residual.copy()
-    if len(bands):
-        columns = bands[..., rows].reshape(len(bands), -1)
-        theta, *_ = np.linalg.lstsq(columns.T, residual[..., rows].ravel(), rcond=1e-6)
-        residual -= np.tensordot(theta, bands, 1)
-    return residual
+    @cached_property
+    def _spanning(self) -> Array:
+        """(B, signals, n), orthonormal on the rows that count."""
+        flat, n = self.columns.reshape(len(self.columns), -1), self.columns.shape[-1]
+        return spanning(flat, np.tile(self._rows, self.columns.shape[1])).reshape(-1, self.columns.shape[1], n)
+
+    @property
+    def basis(self) -> Array:
+        """(B, signals·rows): orthonormal rows that span them where rows count."""
+        return self._spanning[..., self._rows].reshape(-1, self.columns.shape[1] * int(np.count_nonzero(self._rows)))
+
+    def taken_out_of(self, residual: Array) -> Array:
+        """The residual (signals, n) without what they explain of it."""
+        if not len(self.columns):
+            return residual
+        along = np.tensordot(self._spanning[..., self._rows], residual[..., self._rows], 2)
+        return np.asarray(residual - np.tensordot(along, self._spanning, 1))
 
 
 def is_near_present(space: Space, proposer: Proposer, term: Term, current: Fit) -> bool:

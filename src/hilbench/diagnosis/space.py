@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.noise import ORDER, Whitening, scaling, whitening
 from hilbench.diagnosis.predictor import Predictor
@@ -163,9 +164,11 @@ class Space:
     split: Split = field(init=False)
     before: Array = field(init=False)  #: residual (signals, n) of the model as it is
     simulations: int = 0
+    _base: Array = field(init=False)  #: the model's parameter vector
     _quick: Array = field(init=False)  #: of the measured (signals, n), what terms make of the quick part of the motion
 
     def __post_init__(self) -> None:
+        self._base = machines.of_kind(self.model).pack(self.model)
         self._quick = np.zeros_like(self.predictor.measured)
         self.before = self.residual([])
         self.split = self._balanced(self.before)
@@ -203,6 +206,10 @@ class Space:
         """Length of the recording."""
         return len(self.predictor.rows) * self.period_s * self.predictor.every
 
+    def packed(self, terms: list[Term]) -> Array:
+        """The parameter vector of the model with these terms."""
+        return pack_with(self.model, terms, self._base)
+
     def residual(self, terms: list[Term]) -> Array:
         """Measured minus predicted, (signals, n)."""
         found: Array = self.residuals([terms])[0]
@@ -211,7 +218,7 @@ class Space:
     def residuals(self, variants: list[list[Term]]) -> Array:
         """(variants, signals, n)."""
         self.simulations += len(variants)
-        parameters = np.array([pack_with(self.model, terms) for terms in variants])
+        parameters = np.array([self.packed(terms) for terms in variants])
         known = self.predictor.measured - self._quick
         found = np.empty((len(variants), *known.shape))
         for first in range(0, len(variants), _AT_ONCE):
@@ -229,7 +236,7 @@ class Space:
         """
         if not isinstance(self.predictor, LineOnMeasuredMotion):
             return False
-        self._quick = self.predictor.quick(pack_with(self.model, terms))
+        self._quick = self.predictor.quick(self.packed(terms))
         return True
 
     def residual_with_force(self, terms: list[Term], force_N: float, time_s: float) -> Array:
@@ -240,14 +247,14 @@ class Space:
         if not isinstance(self.predictor, FreeRun | LineOnMeasuredMotion):
             raise TypeError("the prediction of a lone axis, expected a web")
         self.simulations += 1
-        predicted = self.predictor.with_force(force_N, time_s).predict(pack_with(self.model, terms)[None])
+        predicted = self.predictor.with_force(force_N, time_s).predict(self.packed(terms)[None])
         return np.asarray(self.predictor.measured - self._quick - predicted[0], np.float64)
 
     def doubts(self, terms: list[Term]) -> Array:
         """(shapes, signals, n): errors of a right prediction in addition to noise, each to one standard deviation."""
         if not isinstance(self.predictor, LineOnMeasuredMotion | OnMeasuredMotion):
             return np.empty((0, *self.predictor.measured.shape))
-        return self.predictor.doubts(pack_with(self.model, terms))
+        return self.predictor.doubts(self.packed(terms))
 
     def point(self, terms: list[Term], residual: Array | None = None, *, timeless: bool = False) -> Point:
         """Residual (if it is not known) and derivatives by all coordinates of the terms, by forward differences.

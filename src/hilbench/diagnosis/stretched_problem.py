@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -39,6 +39,12 @@ class StretchedProblem:
             square.append(float(r @ r))
         whole = np.sum(columns**2, axis=(1, 2)) if raw is None else raw
         return cls(np.array(gram), np.array(cross), np.array(square), whole, ridge)
+
+    def with_back(self, columns: range, known: Array) -> StretchedProblem:
+        """The same of a residual that has so much of some of the columns as well."""
+        at = list(columns)
+        square = self.square + 2.0 * self.cross[:, at] @ known + known @ self.gram[:, at][:, :, at] @ known
+        return replace(self, cross=self.cross + self.gram[:, :, at] @ known, square=square)
 
     def left(self, chosen: list[int]) -> tuple[float, Array]:
         """Sum of squares that is left by these columns, and their coordinates."""
@@ -105,9 +111,15 @@ class StretchedProblem:
 
 def basis(columns: Array) -> Array:
     """Orthonormal rows that span the same as these (J, n)."""
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-300)[:, None]
-    _, sizes, vectors = np.linalg.svd(scaled, full_matrices=False)
-    return np.asarray(vectors[sizes > 1e-6 * float(sizes[0])])
+    return spanning(columns, np.ones(columns.shape[1], bool))
+
+
+def spanning(columns: Array, rows: NDArray[np.bool_]) -> Array:
+    """Combinations of columns (J, n) that are orthonormal, and span the same, on some of the rows (n,)."""
+    scaled = columns / np.maximum(np.linalg.norm(columns[:, rows], axis=1), 1e-300)[:, None]
+    of, sizes, _ = np.linalg.svd(scaled[:, rows], full_matrices=False)
+    kept = sizes > 1e-6 * sizes[0]
+    return np.asarray((of[:, kept] / sizes[kept]).T @ scaled)
 
 
 def without(columns: Array, basis: Array) -> Array:

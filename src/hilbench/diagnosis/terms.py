@@ -246,10 +246,10 @@ def strength_parts(terms: Sequence[Term]) -> list[slice]:
     return [slice(part.start, part.start + term.linear) for term, part in zip(terms, parts(terms), strict=True)]
 
 
-def pack_with(model: Machine, terms: list[Term]) -> Array:
-    """The kernel's parameter vector of a model with these terms."""
+def pack_with(model: Machine, terms: list[Term], base: Array | None = None) -> Array:
+    """The kernel's parameter vector of a model with these terms; base: that of the model, where it is known."""
     kind = machines.of_kind(model)
-    parameters: Array = kind.pack(model)
+    parameters: Array = kind.pack(model) if base is None else base.copy()
     for term in sorted(terms, key=_of_all_first):
         kind.write_effect(model, parameters, term.effect, term.axis, term.slot, term.own, term.section)
     return parameters

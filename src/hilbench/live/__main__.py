@@ -9,7 +9,9 @@ from typing import get_args
 from hilbench.bench.reports.diagnosis_updates import ProposalOutcome, Ready, Samples
 from hilbench.cpu_throttle import throttle_cpu
 from hilbench.exit_status import ended
-from hilbench.live.session import session_of
+from hilbench.live.session import Session
+from hilbench.live.warm_up import warm_up
+from hilbench.machine_kinds import machine_part
 from hilbench.real_time import give_way
 from hilbench.topology.blocks import Pace
 from hilbench.topology.config import BenchConfig
@@ -30,7 +32,12 @@ def main() -> None:
 
 def answer(connection: Connection, config: BenchConfig) -> None:
     """Answer messages until the connection is closed."""
-    session = session_of(config)
+    live = config.twin.live_diagnosis
+    assert live is not None, "it is started where there is one"
+    machine = machine_part(config.machine.kind, "live_diagnosis")(config)
+    given = [signal.name for signal in config.signals], machine, live, config.cycle_time_s
+    warm_up(*given)
+    session = Session(*given)
     if config.pace == "realtime":
         cores = config.realtime.cores
         taken = {core for core in (cores.bench, cores.hardware, cores.twin) if core is not None}

@@ -1,17 +1,18 @@
-"""Interface of a kind of machine to the live diagnosis."""
+"""What a kind of machine brings to the live diagnosis."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis import machines
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured
 from hilbench.live.window import Window
-from hilbench.plant.effect import MachineKind
 from hilbench.plant.model_file import Machine
 
 Array = NDArray[np.float64]
@@ -34,75 +35,68 @@ class Gap(Protocol):
         """(n // SHORT, N): of the next rows (n,) of `LiveMachine.needed`; n a multiple. NaN where nothing is known."""
 
 
-class LiveMachine(Protocol):
+class LiveMachine(ABC):
     """One machine of N axes, as it was configured. What the twin estimates are M numbers, in units of their signals."""
 
-    @property
-    def kind(self) -> MachineKind:
-        """By whose effects it goes."""
+    moves: ClassVar[float]  #: speed below which friction is not one law but many
+    emulation: AnyEmulation | None  #: by load motors; None where the machine is real
+    speeds: Sequence[str]  #: channels of the axes
+    needed: Sequence[str]  #: signals that a gap is made from, and `speeds`
+    usual_Nm: Array  #: (N,) torques that are usual at the motors
+    estimated: Sequence[str]  #: the signals of what the twin estimates (M,)
 
-    @property
-    def configured(self) -> Machine:
-        """The model."""
+    def __init__(self, configured: Machine) -> None:
+        self.configured = configured
 
-    @property
-    def emulation(self) -> AnyEmulation | None:
-        """Emulation by load motors; None where the machine is real."""
-
-    @property
-    def needed(self) -> tuple[str, ...]:
-        """Signals that a gap is made from, and `speeds`."""
-
-    @property
-    def speeds(self) -> tuple[str, ...]:
-        """Speed channels of the axes."""
-
-    @property
-    def moves(self) -> float:
-        """Speed below which friction is not one law but many."""
-
-    @property
-    def usual_Nm(self) -> Array:
-        """(N,): torques that are usual at the motors."""
-
-    @property
-    def estimated(self) -> tuple[str, ...]:
-        """The signals of what the twin estimates (M,)."""
-
+    @abstractmethod
     def gap(self, model: Machine) -> Gap:
         """Residual generator of one model."""
 
+    @abstractmethod
     def estimate_of(self, model: Machine) -> Array:
         """(M,) as the model has it."""
 
+    @abstractmethod
     def with_estimate(self, model: Machine, estimate: Array) -> Machine:
         """The model with another one (M,)."""
 
+    @abstractmethod
     def estimate_at(self, model: Machine, time_s: float) -> Array:
         """(M,) as the model's effects make it at a time of theirs."""
 
+    @abstractmethod
     def is_of_estimate(self, effect_id: str) -> bool:
         """True if an effect is a change of what the twin estimates anyway."""
 
-    def why_not_carried(self, effect_id: str) -> str:
-        """Why the twin can't have an effect in its model; "" where it can."""
-
     def without_estimate(self, model: Machine) -> Machine:
         """The model without changes of it but for those that it was configured with."""
+        entries = [entry for entry in model.effects if not self.is_of_estimate(entry.effect)]
+        own = [entry for entry in self.configured.effects if self.is_of_estimate(entry.effect)]
+        return machines.with_effects(self.configured, [*own, *entries])
 
+    @abstractmethod
     def followed_from(self, window: Window, first: int) -> int:
         """The cycle from which on a gap has to be followed to be known from cycle `first` on."""
 
+    @abstractmethod
     def quiet_cycle(self, window: Window, first: int, end: int) -> int | None:
         """The first cycle of a range at which a prediction can begin; None where there is none yet."""
 
     def estimate_in(self, window: Window, model: Machine, known: Array, first: int, end: int) -> Array:
         """(M,) what these cycles tell of it, whatever else the model lacks; `known` where they tell nothing beyond
         that. Raises UnusableInputError for what can't be diagnosed."""
+        return known
 
+    @abstractmethod
     def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
         """Measured data of these cycles, for an effect that began in cycle `begun`; before that the model held.
         Raises UnusableInputError for what can't be diagnosed."""
 
+    @abstractmethod
+    def steady(self, chunk_s: float) -> tuple[float, dict[str, float]]:
+        """A speed at which the watch looks at the second chunk, each of so many s, and what else does not change then,
+        by channel."""
+
     def packed(self, model: Machine) -> Array:
         """(P,): as a predictor takes it."""
+        return np.asarray(machines.of_kind(model).pack(model))

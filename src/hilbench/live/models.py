@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from typing import TypeVar, cast
 
 from hilbench.bench.reports.diagnosis_updates import FoundEffect, FoundValue
 from hilbench.diagnosis.diagnosis import NamedEffect
@@ -12,8 +10,6 @@ from hilbench.plant.effect import Effect, MachineKind, ProbeOver, Section
 from hilbench.plant.effects import find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
-
-Model = TypeVar("Model", bound=Machine)
 
 #: Effects that begin at a time, or swing with it, by a clock that a window and a twin do not share.
 _BY_THE_CLOCK = (ProbeOver.TIME, ProbeOver.ONSET, ProbeOver.ONSET_AND_DURATION, ProbeOver.PASSAGE)
@@ -24,13 +20,6 @@ def why_not_carried(effect_id: str, kind: MachineKind) -> str:
     probe = find_effect(effect_id, kind).probe
     by_the_clock = probe is not None and probe.over in _BY_THE_CLOCK
     return "it goes by a clock that the twin does not have" if by_the_clock else ""
-
-
-def with_entries(model: Model, entries: Sequence[EffectEntry]) -> Model:
-    """The model with these effects in the place of its own."""
-    data = model.model_dump()
-    data["effects"] = [entry.model_dump() for entry in entries]
-    return cast("Model", type(model).model_validate(data))
 
 
 def as_text(model: Machine, configured: Machine) -> str:

@@ -27,6 +27,7 @@ from hilbench.bench.reports.diagnosis_updates import (
     ProposalOutcome,
     Samples,
 )
+from hilbench.diagnosis import machines
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnosed
 from hilbench.diagnosis.noise import floor, rms
 from hilbench.diagnosis.residual_analysis import largest_ratio, misfits, ratios
@@ -36,9 +37,7 @@ from hilbench.live.machine import SHORT, LiveMachine
 from hilbench.live.segment import Segment, shows_in_torque
 from hilbench.live.watch import ROW, Piece, Watch
 from hilbench.live.window import Window
-from hilbench.machine_kinds import machine_part
 from hilbench.plant.model_file import Machine
-from hilbench.topology.config import BenchConfig
 from hilbench.topology.live_config import LiveDiagnosisConfig
 from hilbench.twin.model_switch import with_effects
 
@@ -242,7 +241,7 @@ class Session:
         if len(added) > 1:
             for entry in added:
                 kept = [other for other in self._in_use.effects if other != entry]
-                options.append(models.with_entries(self._configured, kept))
+                options.append(machines.with_effects(self._configured, kept))
         segment = Segment.of(self._machine, self._window, before, first, end, begun)
         for option in options:
             if self._is_noise(segment, option):
@@ -357,7 +356,8 @@ class Session:
     def _decide(self, case: _Case, gap: FoundGap) -> None:
         assert case.candidate is not None
         self._state = "waiting"
-        why = next(filter(None, (self._machine.why_not_carried(effect.effect) for effect in case.effects)), "")
+        kind = self._configured.machine_kind
+        why = next(filter(None, (models.why_not_carried(effect.effect, kind) for effect in case.effects)), "")
         if why:
             self._send("ended", case.begun, f"{why}: the model stays as it is")
             return
@@ -400,13 +400,3 @@ def _place(effect: FoundEffect) -> str:
 def _text(effect: FoundEffect) -> str:
     sizes = (f"{name} {value.value:.4g}" for name, value in effect.parameters.items())
     return f"{_place(effect)} ({', '.join(sizes)})"
-
-
-def session_of(config: BenchConfig) -> Session:
-    """Session of a config that asks for one, with all that it runs compiled and loaded."""
-    live, cycle_s = config.twin.live_diagnosis, config.cycle_time_s
-    assert live is not None, "it is started where there is one"
-    of_kind = machine_part(config.machine.kind, "live_diagnosis")
-    given = [signal.name for signal in config.signals], of_kind.machine(config), live, cycle_s
-    of_kind.warm_up(*given)
-    return Session(*given)

@@ -121,11 +121,11 @@ def commission(
 def _measured(
     loaded: LoadedConfig, out: Path, progress: ProgressDisplay, known_pct: float, *, in_process: bool, force: bool
 ) -> tuple[RunFolder, list[Commissioned]]:
-    """Run the plan and fit its recording. Raises as `hilbench.diagnosis.live.run_bench`."""
+    """Run the plan and fit its recording. Raises as `hilbench.diagnosis.bench_gap.run_bench`."""
     from hilbench.bench.lifecycle.participants import Participants
+    from hilbench.diagnosis.bench_gap import completed
     from hilbench.diagnosis.commissioning import commissioned
     from hilbench.diagnosis.emulated import emulation_of
-    from hilbench.diagnosis.live import completed
     from hilbench.results.recording import read_recording
     from hilbench.results.run import run_experiment
 

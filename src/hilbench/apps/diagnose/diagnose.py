@@ -16,19 +16,17 @@ from hilbench.apps.cli.options import print_json
 from hilbench.apps.cli.progress import ProgressDisplay
 from hilbench.apps.diagnose.page import write_diagnosis_page
 from hilbench.apps.history.entries import keep_diagnosis
-from hilbench.diagnosis import axis_next_experiment, machines, web_next_experiment
+from hilbench.diagnosis.bench_gap import LiveGap, live_gap, run_bench
 from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
 from hilbench.diagnosis.emulated import emulation_beside, emulation_of
-from hilbench.diagnosis.live import LiveGap, live_gap, run_bench
 from hilbench.diagnosis.machines import AnyEmulation
-from hilbench.diagnosis.measured import measured_from
-from hilbench.diagnosis.next_experiment import NextExperiment, Step, write_steps
+from hilbench.diagnosis.next_experiment import NextExperiment, Step, proposed, write_steps
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
 from hilbench.plant.effect import Section
 from hilbench.plant.model_file import write_model
-from hilbench.results.recording import Recording, read_section
+from hilbench.results.recording import read_section
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import LoadedConfig, load_with_overrides, write_config_over
 from hilbench.topology.config import BenchConfig
@@ -136,7 +134,7 @@ def diagnose_command(
             emulation = _emulation(source, config)
             diagnosis = diagnose(recording, model, source, progress.announce, emulation)
             found = _Found(diagnosis, None if config is None else model_path)
-            found.proposed = _proposed(diagnosis, recording, source)
+            found.proposed = proposed(diagnosis, recording, source)
         files = None if out is None else _write(found, source, out)
     if next_experiment is not None and found.proposed is not None:
         write_steps(next_experiment, found.proposed, found.config)
@@ -168,19 +166,6 @@ def _next_line(found: _Found, written: Path | None) -> str:
         return "next experiment: none of the library would add information"
     shown_text = f"next experiment: {found.proposed.moves}, {found.proposed.duration_s:.1f} s: {written}"
     return shown_text if found.config is None else f"{shown_text}\nhilbench run {written}"
-
-
-def _proposed(diagnosis: Diagnosis, recording: Recording, place: Path) -> NextExperiment | None:
-    """What would tell more; of a web that moved by other commands nothing is known to propose."""
-    if machines.is_lone(diagnosis.model):
-        data = measured_from(recording, diagnosis.model, place)
-        return axis_next_experiment.propose(diagnosis, axis_next_experiment.AxisReach.of(data))
-    if machines.has_stations(diagnosis.model):  # of which no move of the library is known to be one
-        return None
-    axes = diagnosis.model.axis_count
-    if f"v{axes}_cmd_m_s" not in recording:
-        return None
-    return web_next_experiment.propose(diagnosis, web_next_experiment.Reach.of(recording, axes))
 
 
 def _against(source: Path, before: Path, model_path: Path | None, progress: ProgressDisplay) -> _Found:
@@ -223,7 +208,7 @@ def _on_the_bench(
     recording, emulation = first.folder.recording, emulation_of(loaded.config)
     diagnosis = diagnose(read_section(recording), model, recording, progress.announce, emulation)
     found = _Found(diagnosis, config, [before])
-    found.proposed = _proposed(diagnosis, read_section(recording), recording)
+    found.proposed = proposed(diagnosis, read_section(recording), recording)
     steps: list[Step] = []
     while until_clear and found.proposed is not None and len(found.rounds) < _MOST_ROUNDS and _is_tied(diagnosis):
         steps += found.proposed.steps
@@ -233,7 +218,7 @@ def _on_the_bench(
         before, recording = live_gap(again), again.folder.recording
         diagnosis = diagnose(read_section(recording), model, recording, progress.announce, emulation)
         found.diagnosis, found.live = diagnosis, [before]
-        found.proposed = _proposed(diagnosis, read_section(recording), recording)
+        found.proposed = proposed(diagnosis, read_section(recording), recording)
     if not diagnosis.effects:
         return found
     observer, announce = progress.of_run("run the bench with the extended model", 0.97)

@@ -21,7 +21,7 @@ WEB_LINE: Final = MachineDescription(
     page="hilbench.apps.pages.live.machines.web_line",
     prediction="hilbench.bench.prediction.web_line",
     diagnosis="hilbench.diagnosis.web_line_machine",
-    live_diagnosis="hilbench.live.web_line.warm_up",
+    live_diagnosis="hilbench.live.line:machine",
     commissioning="hilbench.runs.web_line_reach:reach_of_line",
     fmu_export="hilbench.plant.fmu.export.of_kind:of_line",
 )

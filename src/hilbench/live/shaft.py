@@ -2,81 +2,97 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.errors import UnusableInputError
-from hilbench.live.machine import SHORT
-from hilbench.live.models import why_not_carried
+from hilbench.live.machine import SHORT, LiveMachine
 from hilbench.live.segment import Segment
-from hilbench.live.servo_axis import models
-from hilbench.live.servo_axis.gap import ShaftGap
 from hilbench.live.window import Window
-from hilbench.plant.effect import MachineKind
 from hilbench.plant.model_file import Machine
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.servo_axis.shaft import look
 from hilbench.plant.servo_axis.sizes import machine_sizes
+from hilbench.plant.web_line.inverse import required_torque_Nm
+from hilbench.topology.config import BenchConfig
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
+#: Effects that are a change of the inertia.
+_OF_INERTIA: Final = ("inertia_mismatch", "inertia_step")
 #: In which steps of its share the inertia's best value is looked for, and the largest of them at once.
 _STEP: Final = 0.02
 _MOST: Final = 0.5
 #: Rows in a row that come late which push a shaft by more than noise, and for how long that shows, s.
 _LATE, _PUSHED_S = 2, 0.15
-#: Means that are followed before a gap is looked at.
-_FOLLOWED: Final = 4
+#: Means that are followed before a gap is looked at, and those that the acceleration of one needs beside it.
+_FOLLOWED, _NEIGHBOURS = 4, 2
+#: A speed at which a shaft turns, rad/s.
+_TURNS_RAD_S: Final = 20.0
 
 
-class LiveShaft:
+def machine(config: BenchConfig) -> LiveShaft:
+    """What a session diagnoses."""
+    emulation = emulation_of(config) if config.load_motors else None
+    assert emulation is None or isinstance(emulation, ShaftEmulation), "of this machine"
+    return LiveShaft(config.servo_axis, emulation, config.cycle_time_s)
+
+
+def _shaft(model: Machine) -> ServoAxisParameters:
+    """Narrow a machine's type to a servo axis."""
+    assert isinstance(model, ServoAxisParameters), "a servo axis is diagnosed as one"
+    return model
+
+
+def _inertia_factor(model: Machine, time_s: float) -> float:
+    """Factor of a model's effects on its inertia at a time of theirs."""
+    return float(look(lay.pack(_shaft(model)), time_s)[0])
+
+
+class LiveShaft(LiveMachine):
     """A `LiveMachine` whose twin estimates the inertia. `emulation`: how the load motor emulates what is not there."""
 
-    kind = MachineKind.SERVO_AXIS
     speeds = ("v1_rad_s",)
     needed = ("x1_rad", *speeds, "tau1_Nm")
     moves = 0.5  #: rad/s
     estimated = ("J_sim_kg_m2",)
 
     def __init__(self, model: ServoAxisParameters, emulation: ShaftEmulation | None, cycle_s: float) -> None:
-        self.configured, self.emulation = model, emulation
+        super().__init__(model)
+        self.emulation = emulation
         self.usual_Nm = np.array([machine_sizes(model).force_N])
         self._cycle_s = cycle_s
 
     def gap(self, model: Machine) -> ShaftGap:
         """Residual generator of one model."""
-        return ShaftGap(models.shaft(model), self._cycle_s)
+        return ShaftGap(_shaft(model), self._cycle_s)
 
     def estimate_of(self, model: Machine) -> Array:
         """Inertia (1,) as the model has it, kg·m²."""
         return self.estimate_at(model, 0.0)
 
     def with_estimate(self, model: Machine, estimate: Array) -> ServoAxisParameters:
-        """The model with another inertia (1,)."""
-        return models.with_inertia(models.shaft(model), float(estimate[0]))
+        """The model with another inertia (1,), its effects included: the shaft has what exceeds the motor's rotor."""
+        shaft = _shaft(model)
+        behind = max(float(estimate[0]) / _inertia_factor(shaft, 0.0) - shaft.motor.inertia_kg_m2, 0.0)
+        return shaft.model_copy(update={"shaft": shaft.shaft.model_copy(update={"inertia_kg_m2": behind})})
 
     def estimate_at(self, model: Machine, time_s: float) -> Array:
         """Inertia (1,) as the model's effects make it at a time of theirs."""
-        of_shaft = models.shaft(model)
-        return np.array([of_shaft.inertia_kg_m2 * models.inertia_factor(of_shaft, time_s)])
+        return np.array([_shaft(model).inertia_kg_m2 * _inertia_factor(model, time_s)])
 
     def is_of_estimate(self, effect_id: str) -> bool:
         """True if an effect is a change of the inertia."""
-        return models.is_of_estimate(effect_id)
-
-    def why_not_carried(self, effect_id: str) -> str:
-        """Where it goes by a clock."""
-        return why_not_carried(effect_id, self.kind)
-
-    def without_estimate(self, model: Machine) -> ServoAxisParameters:
-        """The model with the inertia that it was configured with."""
-        return models.without_estimate(models.shaft(model), self.configured)
+        return effect_id in _OF_INERTIA
 
     def followed_from(self, window: Window, first: int) -> int:
         """Some means before it."""
@@ -117,6 +133,43 @@ class LiveShaft:
             pushed[row : row + _LATE + round(_PUSHED_S / self._cycle_s)] = True
         return pushed
 
-    def packed(self, model: Machine) -> Array:
-        """(P,): as a predictor takes it."""
-        return lay.pack(models.shaft(model))
+    def steady(self, chunk_s: float) -> tuple[float, dict[str, float]]:
+        """A speed, rad/s: the shaft looks at any chunk."""
+        return _TURNS_RAD_S, {}
+
+
+class ShaftGap:
+    """The gap of one model along a run of a servo axis: the drive's torque less the one that its motion requires, N·m.
+
+    Motion and torque are means over `SHORT` cycles. The acceleration of a mean is that of its neighbours' positions, so
+    it is known one mean later; the torque is weighted as that weights it.
+    """
+
+    def __init__(self, model: ServoAxisParameters, cycle_s: float) -> None:
+        self._p = lay.pack(model)
+        self._factor = _inertia_factor(model, 0.0)
+        self._mean_s = SHORT * cycle_s
+        self.restart()
+
+    def restart(self) -> None:
+        """The next rows are not those that follow the last."""
+        self._kept = np.full((_NEIGHBOURS, 2), np.nan)  # position and torque of the last means
+
+    def use_estimate(self, estimate: Array) -> None:
+        """Inertia of the shaft (1,) from now on, kg·m²."""
+        self._p[lay.P_INERTIA] = estimate[0] / self._factor
+
+    def follow(self, channels: Mapping[str, Array], known: Rows) -> Array:
+        """(n // SHORT, 1): of the next rows (n,) of x1_rad and tau1_Nm; n a multiple. Each is of the mean before.
+
+        NaN where a row is not known."""
+        rows = np.column_stack([channels["x1_rad"], channels["tau1_Nm"]])
+        rows = np.where(known[:, None], rows, np.nan)
+        means = np.concatenate([self._kept, rows.reshape(-1, SHORT, 2).mean(axis=1)])
+        self._kept = means[-_NEIGHBOURS:]
+        x, torque = means.T
+        speed = (x[2:] - x[:-2]) / (2.0 * self._mean_s)
+        acceleration = (x[2:] - 2.0 * x[1:-1] + x[:-2]) / self._mean_s**2
+        required = np.empty(len(speed))
+        required_torque_Nm(self._p, x[1:-1], speed, acceleration, self._mean_s, required)
+        return np.asarray((torque[1:-1] - required)[:, None])

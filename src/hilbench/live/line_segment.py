@@ -12,9 +12,9 @@ from hilbench.diagnosis.measured import Before, Measured, measured_from
 from hilbench.diagnosis.predictor import choice
 from hilbench.diagnosis.web_line.free_run import remembered_m
 from hilbench.errors import UnusableInputError
-from hilbench.live.web_line.gap import exchanged_m
-from hilbench.live.web_line.models import numbered
+from hilbench.live.line_gap import exchanged_m
 from hilbench.live.window import Window
+from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.emulation import Emulation
 from hilbench.plant.web_line.line_follower import LineFollower
@@ -39,6 +39,17 @@ _AWAY = re.compile(r"x\d+_m - x\d+_m")
 #: Rows over which a way bends that is left at once, and behind a late one within which it does; how far, in deviations
 #: of what a right model leaves.
 _PUSH, _PUSH_AFTER, _PUSHED = 10, 60, 3.0
+
+
+def line(model: Machine) -> ModelParameters:
+    """Narrow a machine's type to a web line."""
+    assert isinstance(model, ModelParameters), "a line is diagnosed as one"
+    return model
+
+
+def numbered(model: ModelParameters, span: int) -> str:
+    """Number of a span in names of signals: empty where there is only one."""
+    return str(span) if model.span_count > 1 else ""
 
 
 def quiet_cycle(window: Window, model: ModelParameters, first: int, end: int, cycle_s: float) -> int | None:
@@ -90,7 +101,7 @@ def _pushed(data: Measured, model: ModelParameters, emulation: Emulation | None,
     away = [place for place, name in enumerate(predictor.names) if _AWAY.fullmatch(name)]
     if not away:  # on measured motion: whatever made the rollers move so
         return ()
-    residual = predictor.measured[away] - predictor.predict(packed(model)[None])[0, away]
+    residual = predictor.measured[away] - predictor.predict(lay.pack(model)[None])[0, away]
     bend = np.abs(residual[:, 2 * _PUSH :] - 2.0 * residual[:, _PUSH:-_PUSH] + residual[:, : -2 * _PUSH])
     late = np.convolve(~measured, np.ones(_PUSH_AFTER), "full")[: residual.shape[1]] > 0.5
     usual = np.array([np.hypot(predictor.tolerances[place], predictor.floor(place)) for place in away])
@@ -122,7 +133,7 @@ def _before(window: Window, model: ModelParameters, begun: int, cycle: int, cycl
     split = max(len(rows) - shown, 0)
     strain = np.full(model.span_count, model.upstream_strain)
     if split > 1:
-        _, strain = LineFollower(model).follow_on(packed(model), x[:split], boundary[:split], cycle_s, strain)
+        _, strain = LineFollower(model).follow_on(lay.pack(model), x[:split], boundary[:split], cycle_s, strain)
     return Before(x[max(split - 1, 0) :], boundary[max(split - 1, 0) :], strain)
 
 
@@ -140,8 +151,3 @@ def _smooth_end(x: Array) -> Array:
     rows = x[-min(_SMOOTHED, len(x)) :]
     at = np.arange(len(rows)) - (len(rows) - 1.0)
     return np.array([np.polyfit(at, column - column[-1], 2)[-1] + column[-1] for column in rows.T])
-
-
-def packed(model: ModelParameters) -> Array:
-    """The model as the predictor takes it."""
-    return lay.pack(model)

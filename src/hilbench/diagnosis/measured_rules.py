@@ -1,0 +1,212 @@
+"""Which terms a search on measured motion offers first, cannot tell by the motion, or finds in one size only here.
+
+An effect has one size. A substitute for something else has another wherever that is another: in other frequency bands,
+and in other stretches of a recording.
+
+One steady sine of a lone axis passes each place with one speed and one acceleration. There what grows with the size of
+the speed goes with the position, as a ripple of an order that a short arc does not tell does; and what is late, or goes
+with the load, is friction that turns over a way, or grows with the speed. Of the laws that are no simpler than these
+nothing is offered of which they leave little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.fit import Fit, fit
+from hilbench.diagnosis.fit_with_residual_noise import fitted, uncertainty_of, weights
+from hilbench.diagnosis.measured_motion import OnMeasuredMotion
+from hilbench.diagnosis.residual_noise import Uncertainty
+from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.steps import CandidateSet
+from hilbench.diagnosis.stretched_problem import STRETCHES, basis, without
+from hilbench.diagnosis.terms import Term, parts
+from hilbench.plant.effect import Domain
+from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
+
+Array = NDArray[np.float64]
+
+#: Share of the sum of squares that is left without a term by which the term has to lower it, half of it on stretches
+#: that no fit has seen; the same of a simple effect, without which no other is read aright.
+LEAST_SHARE, _LEAST_SIMPLE_SHARE = 0.06, 0.01
+#: Share of what is left by which two explanations may differ and be tied, and by which one has to be better.
+TIED: Final = 0.03
+#: Ratio from which one of two tied explanations is clearly more its own, or less unusual.
+_CLEARLY: Final = 1.5
+#: Share of what any order explains from which a whole one is named instead.
+WHOLE: Final = 0.75
+RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS + STATION_EFFECTS)}
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A term that may be added, with its start values."""
+
+    term: Term
+    left: float  #: sum of squares, with it
+    own: float  #: share of its response that the present terms leave of it
+    in_stretches: float  #: of a wave: what it explains with a phase of its own in every stretch
+
+    @property
+    def sizes(self) -> float:
+        """Distance from neutral, in units of the term's usual size."""
+        return float(np.linalg.norm(self.term.moved)) / self.term.size
+
+
+def in_order(offers: list[Offer], as_simple: Collection[str] = ()) -> list[Offer]:
+    """The simple first, then what leaves least; of those that leave the same, what is named first.
+
+    as_simple: effects that are as simple in this recording.
+    """
+    waiting = sorted(
+        offers, key=lambda offer: (offer.term.effect.removable and offer.term.effect.id not in as_simple, offer.left)
+    )
+    ordered = []
+    while waiting:
+        first = waiting[0]
+        for other in waiting[1:]:
+            if other.left <= (1.0 + TIED) * waiting[0].left and _is_preferred(other, first):
+                first = other
+        waiting.remove(first)
+        ordered.append(first)
+    return ordered
+
+
+def _is_preferred(other: Offer, offer: Offer) -> bool:
+    """True if another explanation that leaves as much is preferred.
+
+    The simple one; then the one that changes less of what the present terms explain; then the one that is less unusual
+    on such a machine; then the first in the table.
+    """
+    if other.term.effect.removable != offer.term.effect.removable:
+        return not other.term.effect.removable
+    for mine, its in ((offer.own, other.own), (1.0 / offer.sizes, 1.0 / other.sizes)):
+        if max(mine, its) > _CLEARLY * min(mine, its):
+            return its > mine
+    return RANK[other.term.effect.id] < RANK[offer.term.effect.id]
+
+
+def is_beside_a_whole_order(offer: Offer, whole: list[tuple[Term, float]]) -> bool:
+    """True if a whole order explains nearly as much as this one that is not.
+
+    whole: terms of whole orders, and what each explains with a phase of its own in every stretch, even if with one
+    phase it explains too little to be offered: then an order near it is not offered either.
+    """
+    return not offer.term.held and any(
+        other.key == offer.term.key and explained >= WHOLE * offer.in_stretches for other, explained in whole
+    )
+
+
+def least_share(term: Term) -> float:
+    return LEAST_SHARE if term.effect.removable else _LEAST_SIMPLE_SHARE
+
+
+#: Standard deviations by which what a narrower band finds may differ.
+_APART: Final = 3.5
+#: Share of a strength by which two bands or stretches may differ however sure they are: a filter rounds what turns.
+_SAME_SIZE: Final = 0.03
+
+
+def in_every_band(space: Space, current: Fit) -> Fit:
+    """The fit without the terms of which a narrower band finds another size, one by one, what explains least first:
+    beside one that stands for something else the others have another size as well.
+
+    An effect has one size; what stands for something else (a delay for a loop's answer to a ripple) changes with
+    the frequencies that are looked at. A wave shows in a narrower band at lower speeds only, a resonance below its
+    frequency hardly: neither is judged.
+    """
+    if space.predictor.narrower is None:
+        return current
+    narrower = replace(space, predictor=space.predictor.narrower)
+    while current.terms:
+        narrow = fitted(narrower, current.terms)
+        apart = _apart(current, narrow, uncertainty_of(space, current), uncertainty_of(narrower, narrow))
+        others = [
+            fitted(space, [*current.terms[:k], *current.terms[k + 1 :]])
+            for k, size in enumerate(apart)
+            if size >= _APART
+        ]
+        if not others:
+            break
+        current = min(others, key=lambda found: float(np.sum(found.residual[:, space.predictor.rows] ** 2)))
+    return current
+
+
+def in_both_halves(space: Space, current: Fit) -> Fit:
+    """The fit without the delays that every other stretch finds in another size than those between.
+
+    A cable is as long in every stretch; what a delay stands for (an arm that swings along) is another from motion
+    to motion. Of what the model is linear in each stretch was predicted from the others before.
+    """
+    rows = space.predictor.rows
+    stretches = np.array_split(np.flatnonzero(rows), STRETCHES)
+    halves = []
+    for first in (0, 1):
+        half = np.zeros(len(rows), bool)
+        half[np.concatenate(stretches[first::2])] = True
+        halves.append(half)
+    while any(term.probe is not None for term in current.terms):
+        early, late = (fit(space, weights(space, current.terms), current.terms, half) for half in halves)
+        sure = [uncertainty_of(space, found, half) for found, half in zip((early, late), halves, strict=True)]
+        apart = _apart(early, late, *sure)
+        delays = [size if term.probe is not None else 0.0 for size, term in zip(apart, current.terms, strict=True)]
+        worst = int(np.argmax(delays))
+        if delays[worst] < _APART:
+            break
+        current = fitted(space, [*current.terms[:worst], *current.terms[worst + 1 :]])
+    return current
+
+
+def _apart(one: Fit, other: Fit, sure: Uncertainty, other_sure: Uncertainty) -> list[float]:
+    """By how many standard deviations two fits of the same terms differ in the strength of each, beyond a share of it
+    that makes no other effect of it; 0 of a wave, or what swings at a frequency of its own."""
+    deviations = np.maximum(np.hypot(sure.deviations, other_sure.deviations), 1e-300)
+    found = []
+    for a, b, part in zip(one.terms, other.terms, parts(one.terms), strict=True):
+        here, there, neutral = (float(term.coordinates()[0]) for term in (a, b, a.neutral()))
+        # What a filter rounds of an inertia is a share of all of it, not of what it differs by.
+        whole = 1.0 + here if a.effect.domain is Domain.INERTIA else here - neutral
+        beyond = abs(here - there) - _SAME_SIZE * abs(whole)
+        found.append(0.0 if a.is_of_a_frequency else max(beyond, 0.0) / float(deviations[part.start]))
+    return found
+
+
+#: Share of a response that what such a motion can't tell from it has to leave of it.
+_OWN_SHARE: Final = 0.25
+
+
+def is_on_one_sine(space: Space) -> bool:
+    """True if a lone axis moves to and fro by one steady sine."""
+    return isinstance(space.predictor, OnMeasuredMotion) and space.predictor.sine_Hz is not None
+
+
+def identifiable_on_one_sine(space: Space, terms: list[Term], offered: CandidateSet) -> list[bool]:
+    """True for each candidate that the motion identifies; all of any but one steady sine. A resonance is judged by
+    the lines of its spectrum, once it is found (`hilbench.diagnosis.resonance.untold`)."""
+    predictor = space.predictor
+    if not isinstance(predictor, OnMeasuredMotion) or predictor.sine_Hz is None:
+        return [True] * len(offered.candidates)
+    moving = map(_is_law_of_motion, offered.candidates)
+    laws = [response for response, is_law in zip(offered.responses, moving, strict=True) if is_law]
+    alike = np.concatenate([predictor.alike_on_one_sine(space.packed(terms)), offered.own, *laws])
+    counted = alike[..., predictor.rows]
+    known = basis(counted[np.any(counted, axis=(1, 2))].reshape(-1, counted.shape[1] * counted.shape[2]))
+    return [
+        term.swings or _is_law_of_motion(term) or _own_share(response[..., predictor.rows], known) >= _OWN_SHARE
+        for term, response in zip(offered.candidates, offered.responses, strict=True)
+    ]
+
+
+def _is_law_of_motion(term: Term) -> bool:
+    """Friction, offset and inertia: without them no other law is read aright."""
+    return not term.effect.removable or (term.effect.domain is Domain.INERTIA and not term.swings)
+
+
+def _own_share(response: Array, known: Array) -> float:
+    """Share of a response (J, signals, n) that a basis (B, signals·n) leaves of it."""
+    return float(np.sum(without(response, known) ** 2)) / max(float(np.sum(response**2)), 1e-300)

@@ -1,1 +1,0 @@
-"""Diagnosis of a servo axis while its bench runs."""

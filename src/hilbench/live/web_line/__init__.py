@@ -1,1 +1,0 @@
-"""A web line: its gap, its models, what is tried and when."""
