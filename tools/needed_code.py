@@ -34,8 +34,8 @@ _NAME = re.compile(r"(?P<stem>\w+)\.(?P<name>\w+)-\d+\.py\d+\.\d+\.nbc")
 
 
 def used_by(example: str, folder: Path) -> dict[Function, int]:
-    """The entry points of which a run of an example reads machine code, with its size in bytes; the copies are put
-    into `folder`. Raises CalledProcessError where the run can't be made."""
+    """The entry points of which runs of an example read machine code, with processes and without, with its size in
+    bytes; the copies are put into `folder`. Raises CalledProcessError where the run can't be made."""
     copies: dict[Path, str] = {}
     locator: Any = UserProvidedCacheLocator
     for source in PACKAGE.rglob("*.nb[ic]"):
@@ -48,7 +48,8 @@ def used_by(example: str, folder: Path) -> dict[Function, int]:
     command = [sys.executable, "-m", "hilbench", "run", str(ROOT / "bench_configs" / f"{example}.yaml")]
     options = ["--no-report", "--out", str(folder / "runs"), "--bus", f"embedded:needed{os.getpid()}"]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder)}
-    subprocess.run([*command, *options], env=environment, stdout=subprocess.DEVNULL, check=True)
+    for alone in ([], ["--in-process"]):
+        subprocess.run([*command, *options, *alone], env=environment, stdout=subprocess.DEVNULL, check=True)
     found: dict[Function, int] = {}
     for copy, room in copies.items():
         named, state = _NAME.fullmatch(copy.name), copy.stat()

@@ -38,10 +38,9 @@ from hilbench.can import hub_client
 from hilbench.can.frame import Frame
 from hilbench.can.open import open_link
 from hilbench.canopen.host import DeviceHost, HostedDevices
-from hilbench.fast_path.exchange import FastPathExchange
-from hilbench.fast_path.exchange import _Run as PlainRun
+from hilbench.fast_path.exchange import FastPathExchange, PacketCycle
 from hilbench.fast_path.host import FastPathHost
-from hilbench.fast_path.rig_run import RigFastCycle
+from hilbench.fast_path.host_cycle import RigFastCycle
 from hilbench.hardware.simulation import fast_path_host, hardware
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
@@ -59,7 +58,7 @@ class Left:
     """What a run left behind."""
 
     plain: int = 0  #: cycles of the bench
-    chained: int = 0  #: those of them in which Python had the exchange alone
+    chained: int = 0  #: those of them that went without Python
     of_hosts: Counter[type] = field(default_factory=Counter)  #: SYNCs that hardware and twin have answered on arrays
     samples: list[bytes] = field(default_factory=list)
     notices: list[tuple[float, str, str, int]] = field(default_factory=list)
@@ -100,12 +99,12 @@ def served(loaded: Any, *, compiled: bool) -> Iterator[list[HostedDevices]]:
 def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, how: How) -> Left:
     """A bench that runs for so many cycles, with what is done in between, by cycle."""
     left, samples, compiled = Left(), Samples(), how is not How.INTERPRETED
-    cycle, plain, serve = FastPathExchange.cycle, PlainRun.cycle, FastPathHost.serve
+    cycle, plain, serve = FastPathExchange.cycle, PacketCycle.cycle, FastPathHost.serve
 
     def compiled_or_not(self: FastPathExchange, outputs: Any) -> bool:
         return compiled and cycle(self, outputs)
 
-    def counted(self: PlainRun, outputs: Any) -> bool:
+    def counted(self: PacketCycle, outputs: Any) -> bool:
         done = plain(self, outputs)
         left.plain += done
         return done
@@ -113,13 +112,13 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
     def counted_by_host(self: FastPathHost, timeout_s: float) -> None:
         serve(self, timeout_s)
         if isinstance(self._run, RigFastCycle | TwinFastCycle):
-            kind, cycles = type(self._run), self._run._answers._cycles
+            kind, cycles = type(self._run), self._run._answers.cycles
             left.of_hosts[kind] = max(left.of_hosts[kind], cycles)
 
     trace = folder / f"trace-{uuid.uuid4().hex}.log"
     with (
         patch.object(FastPathExchange, "cycle", compiled_or_not),
-        patch.object(PlainRun, "cycle", counted),
+        patch.object(PacketCycle, "cycle", counted),
         chained_as(how) as chained,
         patch.object(FastPathHost, "serve", counted_by_host),
         TraceWriter(trace, "can0") as tap,
@@ -128,6 +127,7 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
         bench = Bench(loaded.config, observers=[samples], tap=tap, participants=Participants.PRESENT)
         left.ending = ending_of(bench, cycles, changes, together=how is How.CHAINED)
     left.chained = chained()
+    left.plain += left.chained
     left.samples = samples.kept
     left.notices = notices_of(bench)
     # While the drives are stopped nobody waits for the twin.

@@ -93,7 +93,7 @@ class Played:
         end = TwinFastCycle.end
 
         def kept(of: TwinFastCycle) -> None:
-            self.ends.append((of._answers._cycles, of._awaits))
+            self.ends.append((of._answers.cycles, of._awaits))
             end(of)
 
         with linked() as (link, hub), patch.object(TwinFastCycle, "end", kept), ExitStack() as until_sync:

@@ -10,7 +10,7 @@ from hilbench.bench.state import BenchState
 from hilbench.compiled import COUNT, TABLE, Reals, Wholes, Wholes2, arrays_in, entry_point, record_type
 from hilbench.cycle_program import CONTINUE, CompiledStage, never
 from hilbench.exchange.exchange import Exchange
-from hilbench.exchange.measured import BITS, CYCLES, TWIN_SYNC, twin_age_cycles
+from hilbench.exchange.measured import COUNTED, twin_age_cycles
 
 #: The cycles from which experiment and twin count.
 _BEGAN = record_type("experiment", "twin", of=np.int64)
@@ -20,7 +20,7 @@ _AT = record_type("cycle", "t_s", "twin_age_cycles", "bus_bits", of=np.int64)
 class _Arrays(NamedTuple):
     """What is counted, from where, the length of a cycle in s (1,), and the sample with the places of its numbers."""
 
-    counted: Wholes
+    counted: Annotated[Any, COUNTED]
     began: Annotated[Any, _BEGAN]
     cycle_s: Reals
     values: Reals
@@ -31,11 +31,11 @@ class _Arrays(NamedTuple):
 @entry_point(COUNT, TABLE)
 def _stamp(_: int, table: Wholes2) -> int:
     a = arrays_in(table, _Arrays)
-    cycle = a.counted[CYCLES]
+    cycle = a.counted.cycles
     a.words[a.at.cycle] = cycle
     a.values[a.at.t_s] = (cycle - a.began.experiment) * a.cycle_s[0]
-    a.words[a.at.twin_age_cycles] = twin_age_cycles(cycle - a.began.twin, a.counted[TWIN_SYNC])
-    a.words[a.at.bus_bits] = a.counted[BITS]
+    a.words[a.at.twin_age_cycles] = twin_age_cycles(cycle - a.began.twin, a.counted.twin_sync)
+    a.words[a.at.bus_bits] = a.counted.bits
     return CONTINUE
 
 

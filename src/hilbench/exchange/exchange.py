@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.can.confinement import ControllerState
@@ -161,8 +160,8 @@ class Exchange:
         return self._by_clock
 
     @property
-    def counted(self) -> NDArray[np.int64]:
-        """Counters by the indices of `exchange.measured`, updated after each cycle."""
+    def counted(self) -> NDArray[Any]:
+        """Counters, a record `exchange.measured.COUNTED`, updated after each cycle."""
         return self._nodes.measured.counted
 
     def filling(self, sample: CycleSample) -> CompiledStage:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +12,15 @@ from numpy.typing import NDArray
 from hilbench.compiled import (
     COUNT,
     TABLE,
-    TABLE_WIDTH,
+    Reals,
+    Records,
+    Wholes,
+    arrays_in,
     compiled,
     entry_point,
-    floats,
-    integers,
+    load,
+    record_type,
+    records,
     table_of,
 )
 from hilbench.cycle_program import CONTINUE, CompiledStage, never
@@ -24,28 +29,53 @@ from hilbench.topology.sample import CycleSample
 Vector = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-#: Of a drive in what is measured: position, velocity, torque (SI), statusword.
-POSITION, VELOCITY, TORQUE, STATUSWORD, OF_DRIVE = range(5)
-#: Columns of a simulated torque: place of the measured one, its own place and that of its residual in the twin's
+#: What is measured of a drive (SI), and where that is in a sample (-1: nowhere).
+_OF_DRIVE = "position", "velocity", "torque", "statusword"
+_DRIVE, _PLACES = record_type(*_OF_DRIVE), record_type(*_OF_DRIVE, of=np.int64)
+OF_DRIVE = len(_OF_DRIVE)
+#: A simulated torque by its residual: place of the measured one, its own place and that of its residual in the twin's
 #: signals, and the TPDO that carries it.
-_MEASURED, _SIMULATED, _RESIDUAL, _BROUGHT_BY, _OF_TORQUE = range(5)
+RESIDUAL = record_type("measured", "simulated", "residual", "brought_by", of=np.int64)
 _NOWHERE = -1
 #: What is counted: cycles, and bits on the bus in the last one; the SYNC that the twin has answered last, by its count,
 #: and its status (bits of `TwinStatus`).
-CYCLES, BITS, TWIN_SYNC, TWIN_STATUS, _COUNTED = range(5)
+COUNTED = record_type("cycles", "bits", "twin_sync", "twin_status", of=np.int64)
+
+
+class _Twin(NamedTuple):
+    """Measurements, and what the twin's TPDOs bring to them."""
+
+    came: Wholes
+    torques: Annotated[Any, records(RESIDUAL)]
+    before_Nm: Reals
+    of_drives: Reals
+    virtual_io: Reals
+
+
+class _Sample(NamedTuple):
+    """Measurements with their places in a sample."""
+
+    of_drives: Annotated[Any, records(_DRIVE)]
+    virtual_io: Reals
+    counted: Annotated[Any, COUNTED]
+    places: Annotated[Any, records(_PLACES)]
+    of_virtual_io: Wholes
+    rad_per_unit: Reals
+    values: Reals
+    words: Wholes
 
 
 @compiled
-def take_twin(came: Whole, torques: Whole, before_Nm: Vector, of_drives: Vector, virtual_io: Vector) -> None:
+def take_twin(came: Whole, torques: Records, before_Nm: Vector, of_drives: Vector, virtual_io: Vector) -> None:
     """Update simulated torques from their residuals after a cycle in which these TPDOs of the twin `came` (P,).
 
     The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
     """
     for k in range(len(before_Nm)):
-        row = torques[k * _OF_TORQUE : (k + 1) * _OF_TORQUE]
-        if came[row[_BROUGHT_BY]] != 0:
-            virtual_io[row[_SIMULATED]] = before_Nm[k] - virtual_io[row[_RESIDUAL]]
-        before_Nm[k] = of_drives[row[_MEASURED]]
+        row = torques[k]
+        if came[row.brought_by] != 0:
+            virtual_io[row.simulated] = before_Nm[k] - virtual_io[row.residual]
+        before_Nm[k] = of_drives[row.measured]
 
 
 @compiled
@@ -58,28 +88,24 @@ def twin_age_cycles(syncs: int, twin_sync: int) -> int:
 
 @entry_point(TABLE)
 def _take(table: NDArray[np.int64]) -> None:
-    if len(table) > 0:
-        came, torques, before_Nm = integers(table, 0, (1,)), integers(table, 1, (1,)), floats(table, 2, (1,))
-        take_twin(came, torques, before_Nm, floats(table, 3, (1,)), floats(table, 4, (1,)))
+    a = arrays_in(table, _Twin)
+    take_twin(a.came, a.torques, a.before_Nm, a.of_drives, a.virtual_io)
 
 
 @entry_point(COUNT, TABLE)
 def _fill(twin_status: int, table: NDArray[np.int64]) -> int:
-    if len(table) == 0:
-        return CONTINUE
-    reals, wholes = floats(table, 9, (1,)), integers(table, 10, (1,))
-    of_drives, virtual_io = floats(table, 3, (1,)), floats(table, 4, (1,))
-    places, of_virtual_io, rad_per_unit = integers(table, 5, (1,)), integers(table, 6, (1,)), floats(table, 7, (1,))
-    for k in range(len(rad_per_unit)):
-        place, shown = places[k * OF_DRIVE : (k + 1) * OF_DRIVE], of_drives[k * OF_DRIVE : (k + 1) * OF_DRIVE]
-        reals[place[POSITION]] = shown[POSITION] / rad_per_unit[k]
-        if place[VELOCITY] != _NOWHERE:
-            reals[place[VELOCITY]] = shown[VELOCITY] / rad_per_unit[k]
-        reals[place[TORQUE]] = shown[TORQUE]
-        wholes[place[STATUSWORD]] = int(shown[STATUSWORD])
-    for k in range(len(virtual_io)):
-        reals[of_virtual_io[k]] = virtual_io[k]
-    wholes[twin_status] = integers(table, 8, (1,))[TWIN_STATUS]
+    a = arrays_in(table, _Sample)
+    values, words = a.values, a.words
+    for k in range(len(a.places)):
+        place, shown, rad_per_unit = a.places[k], a.of_drives[k], a.rad_per_unit[k]
+        values[place.position] = shown.position / rad_per_unit
+        if place.velocity != _NOWHERE:
+            values[place.velocity] = shown.velocity / rad_per_unit
+        values[place.torque] = shown.torque
+        words[place.statusword] = int(shown.statusword)
+    for k in range(len(a.virtual_io)):
+        values[a.of_virtual_io[k]] = a.virtual_io[k]
+    words[twin_status] = a.counted.twin_status
     return CONTINUE
 
 
@@ -111,7 +137,7 @@ class SimulatedTorque:
 class Measured:
     """Vectors of the measurements. `of_drives` (4 D,); `virtual_io` (S,): the twin's signals, TPDO by TPDO, then
     the torques that follow from residuals; `came` (P,): 1 where a TPDO of the twin arrived in this cycle;
-    `counted`: by CYCLES and so on.
+    `counted`: a record `COUNTED`.
 
     `sent_by`: the signals of each TPDO of the twin.
     """
@@ -128,33 +154,26 @@ class Measured:
         #: Slice of each TPDO's signals in `virtual_io`.
         self.parts = [slice(end - len(content), end) for end, content in zip(ends, sent_by, strict=True)]
         brought_by = {name: at for at, content in enumerate(sent_by) for name in content}
+        measured = [OF_DRIVE * (each.axis - 1) + _OF_DRIVE.index("torque") for each in torques]
         rows = [
-            (
-                OF_DRIVE * (each.axis - 1) + TORQUE,
-                len(names) + at,
-                names.index(each.residual),
-                brought_by[each.residual],
-            )
-            for at, each in enumerate(torques)
+            (place, len(names) + at, names.index(each.residual), brought_by[each.residual])
+            for at, (place, each) in enumerate(zip(measured, torques, strict=True))
         ]
         names += [each.signal for each in torques]
         self.of_drives, self.virtual_io = np.zeros(OF_DRIVE * len(drives)), np.zeros(len(names))
-        self.came, self.counted = np.zeros(len(sent_by), np.int64), np.zeros(_COUNTED, np.int64)
-        self._counted = self.counted.data  # access to one value is faster than through the vector
-        self.torques, self.before_Nm = np.array(rows, np.int64).reshape(-1), np.zeros(len(torques))
-        places = [kind.place(name) if name else _NOWHERE for drive in drives for name in drive.signals]
-        self._kept = (
-            *(self.came, self.torques, self.before_Nm, self.of_drives, self.virtual_io),
-            *(np.array(places, np.int64), kind.places(names), np.array([each.rad_per_unit for each in drives])),
-            self.counted,
-        )
-        self._table = table_of(self._kept)
+        self.came, self.counted = np.zeros(len(sent_by), np.int64), np.zeros(1, COUNTED)
+        self.torques, self.before_Nm = np.array(rows, RESIDUAL), np.zeros(len(torques))
+        places = [tuple(kind.place(name) if name else _NOWHERE for name in drive.signals) for drive in drives]
+        self._twin = _Twin(self.came, self.torques, self.before_Nm, self.of_drives, self.virtual_io)
+        self._table = table_of(self._twin)
+        self._places = np.array(places, _PLACES), kind.places(names), np.array([each.rad_per_unit for each in drives])
         self._filled: CycleSample | None = None
         self._filling: CompiledStage
 
     def count(self, cycles: int, bits: int) -> None:
         """Set the number of cycles run and the bits of the last one."""
-        self._counted[CYCLES], self._counted[BITS] = cycles, bits
+        counted = self.counted[0]
+        counted["cycles"], counted["bits"] = cycles, bits
 
     def take_twin(self) -> None:
         """All of a cycle is here: what follows from it."""
@@ -167,17 +186,15 @@ class Measured:
     def filling(self, sample: CycleSample) -> CompiledStage:
         """Compiled stage that writes into a sample as `fill` does."""
         if sample is not self._filled:
-            kept = *self._kept, sample.reals, sample.wholes
-            place = type(sample).place("twin_status")
-            self._filled, self._filling = (
-                sample,
-                CompiledStage(_fill, place, kept, fallback=never),
+            of_drives = self.of_drives.view(_DRIVE)
+            arrays = _Sample(
+                of_drives, self.virtual_io, self.counted, *self._places, values=sample.reals, words=sample.wholes
             )
+            place = type(sample).place("twin_status")
+            self._filled, self._filling = sample, CompiledStage(_fill, place, arrays, fallback=never)
         return self._filling
 
 
 def warm_up() -> None:
     """Compile, or load from the cache, before a cycle has to wait for it."""
-    nothing = np.zeros((0, TABLE_WIDTH), np.int64)
-    _take(nothing)
-    _fill(0, nothing)
+    load(_take, _fill)

@@ -25,15 +25,7 @@ from hilbench.exchange.addressing import IoMaps, declared_units, drive_settings
 from hilbench.exchange.answers import Tpdo
 from hilbench.exchange.effect_objects import effect_place
 from hilbench.exchange.emergencies import Emergency, EmergencyInbox
-from hilbench.exchange.measured import (
-    OF_DRIVE,
-    TWIN_STATUS,
-    TWIN_SYNC,
-    Measured,
-    ShownBy,
-    SimulatedTorque,
-    twin_age_cycles,
-)
+from hilbench.exchange.measured import OF_DRIVE, Measured, ShownBy, SimulatedTorque, twin_age_cycles
 from hilbench.exchange.parallel import ForEachNode
 from hilbench.exchange.sync_cycle import ExpectedPdo
 from hilbench.exchange.unexpected_senders import Owned, Unexpected, UnexpectedSenders
@@ -113,8 +105,7 @@ class Nodes:
             sample_type(config.signals), self._shown_by, [names for _, names in self._virtual_io_values], torques
         )
         self._status_cob_id = self.io.status.cob_id
-        #: Access to one value is faster than through the vector.
-        self._counted = self.measured.counted.data
+        self._counted = self.measured.counted[0]
         self.twin_reported_cycle = 0  #: cycle, counted by `decode`, in which the twin last reported its status
         self._twin_ids = dict.fromkeys(config.virtual_nodes)  # in the order of the config
         self.twin_problem = ""  #: why the twin's nodes can't be counted on; "" while they can
@@ -166,7 +157,7 @@ class Nodes:
     @property
     def twin_status(self) -> int:
         """Bits of `TwinStatus` as last reported; 0 while the twin is not supervised."""
-        return int(self._counted[TWIN_STATUS])
+        return int(self._counted["twin_status"])
 
     @property
     def filled(self) -> frozenset[str]:
@@ -283,7 +274,7 @@ class Nodes:
 
     def twin_is_away(self) -> None:
         """Stop relying on the twin until `twin_is_back`: its last status is not its state any more."""
-        self._counted[TWIN_STATUS] = 0
+        self._counted["twin_status"] = 0
         self._supervise_twin(False)
         self._expected_boots = set(self._twin_ids)
         self.twin_problem, self.twin_alive = "", False
@@ -410,8 +401,8 @@ class Nodes:
 
     def _take_status(self, status: Sequence[Any] | None) -> None:
         if status is not None:
-            counted, _, self._counted[TWIN_STATUS] = status
-            self._counted[TWIN_SYNC] = counted - self._elapsed_cycles  # it has counted those, too
+            counted, _, self._counted["twin_status"] = status
+            self._counted["twin_sync"] = counted - self._elapsed_cycles  # it has counted those, too
             self.twin_reported_cycle = self._cycle
 
     def _answers(self, frames: Sequence[Frame], before_sync: int, elapsed_cycles: int) -> dict[int, bytes]:
@@ -450,11 +441,11 @@ class Nodes:
 
     def twin_age(self, syncs: int) -> int:
         """Age in cycles of the twin's last answer, `syncs` after the twin was started."""
-        return _twin_age_cycles(syncs, self._counted[TWIN_SYNC])
+        return _twin_age_cycles(syncs, int(self._counted["twin_sync"]))
 
     def twin_started(self, syncs: int) -> int:
         """The SYNC before that which the twin counts as its first, where its last answer was one to SYNC `syncs`."""
-        return syncs - self._counted[TWIN_SYNC]
+        return syncs - int(self._counted["twin_sync"])
 
     # -- cycles run by the fast path (`hilbench.in_process_cycle`) --------------------------------------------------
 
@@ -494,12 +485,6 @@ class Nodes:
         self._inbox.clear()
         self.unexpected_frames = []
         self._ages_cycles = self._in_time
-
-    def take_fast_path(self, status: Sequence[int] | None, heartbeats: Iterable[int]) -> None:
-        """Take a fast-path cycle whose answers are in `measured` already: values of the twin's status, if it came,
-        and node ids of heartbeats. The drives are updated by `end_fast_path`. Raises as `decode`."""
-        self.pass_fast_path(1, [(node_id, 1) for node_id in heartbeats])
-        self._take_status(status)
 
     def pass_fast_path(self, cycles: int, heartbeats: Iterable[tuple[int, int]], reported: int = 0) -> None:
         """Take `cycles` fast-path cycles, with the twin's status in `measured`: node ids with the cycle, from 1 on,

@@ -400,9 +400,10 @@ class SyncCycle:
         """The bench's heartbeat frame, and its period in SYNCs (0: never)."""
         return self._heartbeat, self._heartbeat_cycles
 
-    def is_slow(self, now_s: float) -> bool:
-        """True if a heartbeat is due because cycles take so long."""
-        return self._heartbeat_cycles > 0 and now_s - self._alive_s > _SLOW * self._timeout_s
+    @property
+    def slow_from_ns(self) -> int:
+        """Time of the monotonic clock from which on a heartbeat is due because cycles take so long."""
+        return int((self._alive_s + _SLOW * self._timeout_s) * 1e9) if self._heartbeat_cycles else 1 << 62
 
     def write_last_answers(self) -> BenchFaultError | None:
         """Write the answers that the last cycle has left for the trace; returns the trace's error, if any."""

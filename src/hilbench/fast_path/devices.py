@@ -75,6 +75,7 @@ class HostFrames:
                 HEARTBEAT + device.node_id,
                 lay.ANSWER,
                 NmtState.OPERATIONAL.heartbeat,
+                timing=lay.BY_TIME,
                 period_ns=producer.period_ns,
                 next_ns=producer.next_ns,
                 clock=self._side,
@@ -86,19 +87,13 @@ class HostFrames:
         ends = [device.consumer.quiet_until_ns() for device in self._devices]
         return min((end for end in ends if end is not None), default=1 << 62)
 
-    def give(
-        self, rows: lay.Rows, data: lay.Bytes, cycles: int, received_ns: int
-    ) -> dict[int, tuple[int, bytes | None]]:
+    def give(self, rows: lay.Rows, data: lay.Bytes, cycles: int, received_ns: int) -> None:
         """Update the devices after so many cycles: the last RPDOs came at `received_ns`, and `data` (F, 8) holds the
-        last data of the frames. By COB-ID of the TPDOs: SYNCs since the last one, and its data; None: none sent."""
+        last data of the frames."""
         for _, rpdo, _ in self.taken:
             rpdo.received_until(received_ns)
         for device, row in self.heartbeats:
             device.producer.sent_until(int(rows[row]["next_ns"]))
-        last: dict[int, tuple[int, bytes | None]] = {}
         for _, tpdo, row in self.answering:
             count = int(rows[row]["count"])
-            sent = data[row].tobytes()[: self._frames.sizes[row]] if count < cycles else None
-            tpdo.sent_until(count, sent)
-            last[self._frames.cob_ids[row]] = count, sent
-        return last
+            tpdo.sent_until(count, data[row].tobytes()[: self._frames.sizes[row]] if count < cycles else None)

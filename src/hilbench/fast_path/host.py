@@ -17,6 +17,7 @@ from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, SYNC
+from hilbench.compiled import load
 from hilbench.fast_path import kernel, packet_kernel
 from hilbench.fast_path.tables import FastPathRefusedError
 from hilbench.real_time import ProcessSettings, kept_ready
@@ -114,8 +115,7 @@ class FastPathHost:
 
 def warm_up_packets() -> None:
     """Compile, or load, what serves devices by packets."""
-    kernel.warm_up()
-    packet_kernel.warm_up()
+    load(kernel.publish, packet_kernel.answer, packet_kernel.hear)
 
 
 def run_devices(

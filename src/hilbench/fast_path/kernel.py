@@ -3,34 +3,21 @@ of `layout`. Each function names its counterpart; any other cycle is run by thos
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.can.compiled_wire import bits_on_wire
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
-from hilbench.compiled import (
-    COUNT,
-    TABLE,
-    TABLE_WIDTH,
-    compiled,
-    entry_point,
-    floats,
-    integers,
-    table_of,
-    viewed,
-)
+from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, compiled, entry_point, merged, records, viewed
 from hilbench.cycle_program import CONTINUE
-from hilbench.exchange.measured import take_twin
+from hilbench.exchange.measured import RESIDUAL, take_twin
 from hilbench.fast_path import layout as lay
 from hilbench.fast_path.layout import Bytes, Real, Row, Rows, Single, Whole
 
 _SIGNED, _FLOAT = lay.SIGNED, lay.FLOAT
-_BEFORE_SYNC, _SYNC, _BY_TIME = lay.BEFORE_SYNC, lay.SYNC, lay.BY_TIME
-_I_START_NS, _I_CLOCKS, _I_TEXT = lay.I_START_NS, lay.I_CLOCKS, lay.I_TEXT
-_O_FRAMES, _O_BITS, _O_DURATION_NS, _O_TEXT = lay.O_FRAMES, lay.O_BITS, lay.O_DURATION_NS, lay.O_TEXT
-_O_TIMED, _O_SIZE = lay.O_TIMED, lay.O_SIZE
+_BEFORE_SYNC, _SYNC, _BY_TIME, _BY_CYCLES = lay.BEFORE_SYNC, lay.SYNC, lay.BY_TIME, lay.BY_CYCLES
 _PORT_SIZE = lay.PORT_SIZE
 _INTERNAL_LIMIT = STATUS_INTERNAL_LIMIT
 _HALF, _WRAP = 1 << 31, 1 << 32
@@ -40,78 +27,41 @@ _SECOND_NS = 1_000_000_000
 _DIGITS = np.frombuffer(b"0123456789ABCDEF", np.uint8).copy()
 
 Table = NDArray[np.int64]
-_FRAME, _FIELD, _TARGET, _DRIVE, _SEEN_BY = lay.FRAME, lay.FIELD, lay.TARGET, lay.DRIVE, lay.FEEDBACK
-_VIRTUAL_IO_BY = lay.VIRTUAL_IO
-_OCTET, _SINGLE = np.dtype(np.uint8), np.dtype(np.float32)
-# Rows of the table: as `vectors` has them.
-(
-    _TARGETS,
-    _ASKING,
-    _FRAMES,
-    _SENT,
-    _RECEIVED,
-    _DRIVES,
-    _SEEN,
-    _WHOLE,
-    _REAL,
-    _GIVEN,
-    _LEFT,
-    _DATA,
-    _HEADS,
-    _TEXT,
-    _SCRATCH,
-    _FEEDBACK,
-    _ASKED,
-    _SHOWN,
-    _VIRTUAL_IO_ROWS,
-    _CAME,
-    _TORQUES,
-    _BEFORE_NM,
-    _OF_DRIVES,
-    _VIRTUAL_IO,
-) = range(24)
+OCTET, _SINGLE = np.dtype(np.uint8), np.dtype(np.float32)
 #: What `exchange` and `publish` return where nothing was done: a value does not fit, a fault would follow.
 DOES_NOT_FIT = FAULT = 1
 
 
-#: What is not given.
-_NOTHING = np.zeros(0, np.int64)
+class Image(NamedTuple):
+    """Process image of the fast path in a process: frames with their data, the values in them, drives, measurements.
+    What has no elements is no work."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class Vectors:
-    """Arrays of a fast-path cycle, in the order of the table: rows of `layout`, values, bytes. One not given
-    is empty: no work."""
-
-    targets: Rows | None = None
-    set_points: Real | None = None  #: by target
-    frames: Rows
-    sent: Rows | None = None  #: fields
-    received: Rows | None = None
-    drives: Rows | None = None
-    seen: Rows | None = None
-    whole: Whole
-    real: Real
-    given: Whole
-    left: Whole
-    data: Bytes  #: (8 F,)
-    heads: Bytes | None = None  #: of the trace's lines
-    text: Bytes | None = None  #: of length 0: no trace
-    scratch: Bytes = field(default_factory=lambda: np.zeros(8, np.uint8))
-    feedback: Real | None = None
-    asked: Real | None = None  #: set points that the drives follow
-    shown: Real | None = None  #: by their ports
-    virtual_io_rows: Rows | None = None
-    came: Whole | None = None  #: this and what follows: as of `exchange.measured`
-    torques: Whole | None = None
-    before_Nm: Real | None = None
-    of_drives: Real | None = None
-    virtual_io: Real | None = None
-
-    def table(self) -> Table:
-        """Table of the arrays' addresses; they are to be kept. Lengths in bytes are multiples of eight."""
-        given = [_NOTHING if vector is None else vector for vector in (getattr(self, f.name) for f in fields(self))]
-        return table_of([each if each.dtype == np.float64 else each.view(np.int64) for each in given])
+    frames: Annotated[Any, records(lay.FRAME)]
+    sent: Annotated[Any, records(lay.FIELD)]
+    received: Annotated[Any, records(lay.FIELD)]
+    data: Annotated[Any, records(OCTET)]  #: (8 F,)
+    order: Wholes  #: rows of the frames of this cycle, in the order of the wire
+    whole: Wholes
+    real: Reals
+    given: Annotated[Any, lay.GIVEN]
+    left: Annotated[Any, lay.LEFT]
+    clocks: Wholes  #: time after SYNC of each host, ns
+    scratch: Reals  #: (1,)
+    heads: Annotated[Any, records(OCTET)]  #: of the trace's lines
+    text: Annotated[Any, records(OCTET)]  #: of length 0: no trace
+    targets: Annotated[Any, records(lay.TARGET)] = np.zeros(0, lay.TARGET)
+    set_points: Reals = np.zeros(0)  #: by target
+    drives: Annotated[Any, records(lay.DRIVE)] = np.zeros(0, lay.DRIVE)
+    asked: Reals = np.zeros(0)  #: set points that the drives follow
+    shown: Reals = np.zeros(0)  #: by their ports
+    seen: Annotated[Any, records(lay.FEEDBACK)] = np.zeros(0, lay.FEEDBACK)
+    feedback: Reals = np.zeros(0)
+    virtual_io_rows: Annotated[Any, records(lay.VIRTUAL_IO)] = np.zeros(0, lay.VIRTUAL_IO)
+    came: Wholes = np.zeros(0, np.int64)  #: this and what follows: as of `exchange.measured`
+    torques: Annotated[Any, records(RESIDUAL)] = np.zeros(0, RESIDUAL)
+    before_Nm: Reals = np.zeros(0)
+    of_drives: Reals = np.zeros(0)
+    virtual_io: Reals = np.zeros(0)
 
 
 @compiled
@@ -207,7 +157,7 @@ def trace_line(frame: Row, heads: Bytes, data: Bytes, text: Bytes, at: int) -> i
 
 
 @compiled
-def _is_due(frame: Row, now_ns: int) -> bool:
+def is_due(frame: Row, now_ns: int) -> bool:
     """`canopen.device_pdo.Tpdo.sync` and `canopen.heartbeat.HeartbeatProducer.due`."""
     if frame.timing == _BY_TIME:
         if now_ns < frame.next_ns:
@@ -221,24 +171,51 @@ def _is_due(frame: Row, now_ns: int) -> bool:
     return True
 
 
+@merged
+def begin(image: Image) -> None:
+    """Begin a cycle: no frame is on the wire yet."""
+    left = image.left
+    left.frames = left.bits = left.duration_ns = left.timed = 0
+    for k in range(len(image.frames)):
+        image.frames[k].bits_on_wire = 0
+
+
+@merged
+def carry(image: Image, k: int, bitrate: int) -> None:
+    """Put a frame on the wire: `canopen.pdo.PdoMap.pack`, `can.wire.bits_on_wire`, `canopen.pdo.PdoMap.unpack`."""
+    frame, left, octets = image.frames[k], image.left, image.data[8 * k : 8 * k + 8]
+    double, scratch = image.scratch, viewed(image.scratch, OCTET)
+    single = viewed(image.scratch, _SINGLE)
+    for at in range(frame.first_sent, frame.last_sent):
+        _put(image.sent[at], image.whole, image.real, scratch, single, double, octets)
+    for at in range(frame.first_received, frame.last_received):
+        _get(image.received[at], image.whole, image.real, scratch, single, double, octets)
+    bits = bits_on_wire(frame.crc, frame.stuffing, frame.bits, octets, frame.size)
+    frame.bits_on_wire = bits
+    image.order[left.frames] = k
+    left.frames += 1
+    left.bits += bits
+    left.duration_ns += bits * _SECOND_NS // bitrate
+    left.timed += frame.timing != _BY_CYCLES
+
+
 @compiled
-def _set_times(frames: Rows, bits_of: Whole, start_ns: int, bit_ns: float) -> None:
+def _set_times(frames: Rows, order: Whole, start_ns: int, bit_ns: float) -> None:
     """`exchange.sync_cycle.SyncCycle` with the times of frames on a wire that starts each cycle with its SYNC."""
     before, sync = 0, 0
-    for k in range(len(frames)):
-        if frames[k].part == _BEFORE_SYNC:
-            before += bits_of[k]
-        elif frames[k].part == _SYNC:
-            sync += bits_of[k]
+    for at in range(len(order)):
+        frame = frames[order[at]]
+        if frame.part == _BEFORE_SYNC:
+            before += frame.bits_on_wire
+        elif frame.part == _SYNC:
+            sync += frame.bits_on_wire
     part, base_ns, at_bits = _BEFORE_SYNC, start_ns - int(before * bit_ns), 0
-    for k in range(len(frames)):
-        frame = frames[k]
-        if not bits_of[k]:
-            continue
+    for at in range(len(order)):
+        frame = frames[order[at]]
         if frame.part != part:
             part, at_bits = frame.part, 0
             base_ns = start_ns if part == _SYNC else start_ns + int(sync * bit_ns)
-        at_bits += bits_of[k]
+        at_bits += frame.bits_on_wire
         frame.time_ns = base_ns + int(at_bits * bit_ns)
 
 
@@ -259,11 +236,11 @@ def _see(seen: Row, whole: Whole, feedback: Real) -> None:
 
 
 @compiled
-def _hear(rows: Rows, bits_of: Whole, real: Real, came: Whole, virtual_io: Real) -> None:
+def _hear(rows: Rows, frames: Rows, real: Real, came: Whole, virtual_io: Real) -> None:
     """`exchange.nodes.Nodes` with what the twin's TPDOs bring."""
     for k in range(len(rows)):
         row = rows[k]
-        came[k] = bits_of[row.frame] != 0
+        came[k] = frames[row.frame].bits_on_wire != 0
         if came[k]:
             for slot in range(row.first, row.last):
                 virtual_io[row.place + slot - row.first] = real[slot]
@@ -296,81 +273,60 @@ def _encode(targets: Rows, sent: Rows, set_points: Real, whole: Whole, real: Rea
     return _all_fit(sent, whole, real, single)
 
 
-#: exchange(bitrate, table of `Vectors`): the frames of a cycle over the wire; DOES_NOT_FIT, and nothing done, where a
-#: value does not.
+@merged
+def encode(image: Image) -> bool:
+    """Encode the set points; False where a value does not fit."""
+    single = viewed(image.scratch, _SINGLE)
+    return _encode(image.targets, image.sent, image.set_points, image.whole, image.real, single)
+
+
+@merged
+def follow(image: Image) -> None:
+    """Let the simulated drives take their set points."""
+    for k in range(len(image.drives)):
+        _follow(image.drives[k], image.whole)
+        image.asked[k] = image.drives[k].set_point
+
+
+@merged
+def observe(image: Image, bit_ns: float) -> None:
+    """Take the feedback of the drives and what the twin's TPDOs bring, and write the frames' lines of the trace."""
+    frames, left, text = image.frames, image.left, image.text
+    order, data, at = image.order[: left.frames], image.data, image.given.text
+    for k in range(len(image.seen)):
+        _see(image.seen[k], image.whole, image.feedback[4 * k : 4 * k + 4])
+    for k in range(len(image.of_drives)):  # with slices numba would have a text ready for two of unequal length
+        image.of_drives[k] = image.feedback[k]
+    _hear(image.virtual_io_rows, frames, image.real, image.came, image.virtual_io)
+    take_twin(image.came, image.torques, image.before_Nm, image.of_drives, image.virtual_io)
+    _set_times(frames, order, image.given.start_ns, bit_ns)
+    if len(text) > 0:
+        for k in order:
+            at = trace_line(frames[k], image.heads, data[8 * k : 8 * k + 8], text, at)
+        left.text = at
+
+
+#: exchange(bitrate, table of an `Image`): the frames of a cycle over the wire, in the order of their rows;
+#: DOES_NOT_FIT, and nothing done, where a value does not.
 #: publish(0, table): feedback into the objects; FAULT, and nothing done, where one would follow.
 @entry_point(COUNT, TABLE)
 def exchange(bitrate: int, table: Table) -> int:
-    if len(table) == 0:
-        return CONTINUE
-    targets, frames = (
-        viewed(integers(table, _TARGETS, (1,)), _TARGET),
-        viewed(integers(table, _FRAMES, (1,)), _FRAME),
-    )
-    sent, received = viewed(integers(table, _SENT, (1,)), _FIELD), viewed(integers(table, _RECEIVED, (1,)), _FIELD)
-    drives, seen = viewed(integers(table, _DRIVES, (1,)), _DRIVE), viewed(integers(table, _SEEN, (1,)), _SEEN_BY)
-    whole, real, set_points = (
-        integers(table, _WHOLE, (1,)),
-        floats(table, _REAL, (1,)),
-        floats(table, _ASKING, (1,)),
-    )
-    given, left = integers(table, _GIVEN, (1,)), integers(table, _LEFT, (1,))
-    data, heads = viewed(integers(table, _DATA, (1,)), _OCTET), viewed(integers(table, _HEADS, (1,)), _OCTET)
-    text, scratch = viewed(integers(table, _TEXT, (1,)), _OCTET), viewed(integers(table, _SCRATCH, (1,)), _OCTET)
-    single, double = viewed(scratch, _SINGLE), floats(table, _SCRATCH, (1,))
-    feedback, asked = floats(table, _FEEDBACK, (1,)), floats(table, _ASKED, (1,))
-    if not _encode(targets, sent, set_points, whole, real, single):
+    image = arrays_in(table, Image)
+    if not encode(image):
         return DOES_NOT_FIT
-    bits_of = left[_O_SIZE:]
-    left[:] = 0
-    taken = 0
-    for k in range(len(frames)):
-        frame = frames[k]
-        if not _is_due(frame, given[_I_CLOCKS + frame.clock]):
-            continue
-        octets = data[8 * k : 8 * k + 8]
-        for at in range(frame.first, frame.last):
-            _put(sent[at], whole, real, scratch, single, double, octets)
-        while taken < len(received) and received[taken].frame <= k:
-            if received[taken].frame == k:
-                _get(received[taken], whole, real, scratch, single, double, octets)
-            taken += 1
-        bits = bits_on_wire(frame.crc, frame.stuffing, frame.bits, octets, frame.size)
-        bits_of[k] = bits
-        left[_O_FRAMES] += 1
-        left[_O_BITS] += bits
-        left[_O_DURATION_NS] += bits * _SECOND_NS // bitrate
-        left[_O_TIMED] += frame.timing == _BY_TIME
-    for k in range(len(drives)):
-        _follow(drives[k], whole)
-        asked[k] = drives[k].set_point
-    for k in range(len(seen)):
-        _see(seen[k], whole, feedback[4 * k : 4 * k + 4])
-    of_drives, virtual_io, came = (
-        floats(table, _OF_DRIVES, (1,)),
-        floats(table, _VIRTUAL_IO, (1,)),
-        integers(table, _CAME, (1,)),
-    )
-    for k in range(len(of_drives)):  # with slices numba would have a text ready for two of unequal length
-        of_drives[k] = feedback[k]
-    _hear(viewed(integers(table, _VIRTUAL_IO_ROWS, (1,)), _VIRTUAL_IO_BY), bits_of, real, came, virtual_io)
-    take_twin(came, integers(table, _TORQUES, (1,)), floats(table, _BEFORE_NM, (1,)), of_drives, virtual_io)
-    _set_times(frames, bits_of, given[_I_START_NS], 1e9 / bitrate)
-    if len(text) > 0:
-        at = given[_I_TEXT]
-        for k in range(len(frames)):
-            if bits_of[k]:
-                at = trace_line(frames[k], heads, data[8 * k : 8 * k + 8], text, at)
-        left[_O_TEXT] = at
+    begin(image)
+    for k in range(len(image.frames)):
+        if is_due(image.frames[k], image.clocks[image.frames[k].clock]):
+            carry(image, k, bitrate)
+    follow(image)
+    observe(image, 1e9 / bitrate)
     return CONTINUE
 
 
 @entry_point(COUNT, TABLE)
 def publish(_: int, table: Table) -> int:
-    if len(table) == 0:
-        return CONTINUE
-    drives = viewed(integers(table, _DRIVES, (1,)), _DRIVE)
-    ports, whole = floats(table, _SHOWN, (1,)), integers(table, _WHOLE, (1,))
+    image = arrays_in(table, Image)
+    drives, ports, whole = image.drives, image.shown, image.whole
     for k in range(len(drives)):
         drive, port = drives[k], ports[k * _PORT_SIZE : (k + 1) * _PORT_SIZE]
         if not abs(port[1]) <= drive.overspeed_rad_s:
@@ -407,10 +363,3 @@ def _show(drive: Row, port: Real, whole: Whole) -> None:
     if drive.limited or port[4] != 0.0:
         bits |= _INTERNAL_LIMIT
     whole[drive.statusword] = bits
-
-
-def warm_up() -> None:
-    """Compile, or load from the cache, before a cycle has to wait for it."""
-    nothing = np.zeros((0, TABLE_WIDTH), np.int64)
-    exchange(1_000_000, nothing)
-    publish(0, nothing)

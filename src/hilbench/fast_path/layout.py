@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.compiled import record_type
+
 Rows = NDArray[Any]  #: of one of the types below
 Row = Any  #: one of these
 Whole = NDArray[np.int64]
@@ -22,23 +24,28 @@ Single = NDArray[np.float32]
 UNSIGNED, SIGNED, FLOAT = 0, 1, 2
 #: Place of a frame in a cycle: sent by the bench before SYNC, SYNC, or an answer.
 BEFORE_SYNC, SYNC, ANSWER = 0, 1, 2
-#: When it is sent: with every `every`-th cycle, or when the device's clock has come to `next_ns`.
-BY_CYCLES, BY_TIME = 0, 1
+#: When it is on the wire: with every `every`-th cycle; when the device's clock has come to `next_ns`; or at any time,
+#: for one that is only received.
+BY_CYCLES, BY_TIME, BY_ARRIVAL = 0, 1, 2
 
-#: A frame that may be sent in a cycle, in the order of the wire.
+#: A frame that may be on the wire in a cycle.
 FRAME = np.dtype(
     [
+        ("cob_id", "i8"),
         ("size", "i8"),
         ("part", "i8"),
         ("timing", "i8"),
         ("clock", "i8"),  # whose time: place among those that a cycle is given
         ("every", "i8"),
-        ("count", "i8"),  # cycles since it was sent
+        ("count", "i8"),  # cycles since it was on the wire
         ("period_ns", "i8"),
         ("next_ns", "i8"),
         ("time_ns", "i8"),  # as in the trace
-        ("first", "i8"),  # of its fields
-        ("last", "i8"),
+        ("bits_on_wire", "i8"),  # in this cycle; 0: it was not there
+        ("first_sent", "i8"),  # of the fields that are put into it
+        ("last_sent", "i8"),
+        ("first_received", "i8"),  # of those that are taken from it
+        ("last_received", "i8"),
         ("crc", "i8"),  # as `can.wire.header` has them
         ("stuffing", "i8"),
         ("bits", "i8"),
@@ -101,11 +108,10 @@ FEEDBACK = np.dtype(
 VIRTUAL_IO = np.dtype([("frame", "i8"), ("first", "i8"), ("last", "i8"), ("place", "i8")])
 #: Values of a port in addition to its mode: position, velocity, torque, reference, torque-limited flag.
 PORT_SIZE = 5
-#: Whole numbers that a cycle takes: start in ns, then the time after SYNC by the clock of each host, in ns; where its
-#: text begins in that of the trace.
-I_START_NS, I_CLOCKS, I_TEXT, I_SIZE = 0, 1, 3, 4
-#: Whole numbers that a cycle leaves: frames, bit times of all, their time on the wire in ns, where its text ends,
-#: frames that go by time; then of each frame its bit times, 0 where it was not sent.
-O_FRAMES, O_BITS, O_DURATION_NS, O_TEXT, O_TIMED, O_SIZE = 0, 1, 2, 3, 4, 5
+#: What a cycle is given: its start in ns, and where its text begins in that of the trace.
+GIVEN = record_type("start_ns", "text", of=np.int64)
+#: What it leaves: frames, bit times of all, their time on the wire in ns, frames that do not go by cycles, where its
+#: text ends.
+LEFT = record_type("frames", "bits", "duration_ns", "timed", "text", of=np.int64)
 #: Longest line of a trace without the channel: time, identifier, eight bytes.
 LINE = 64

@@ -15,6 +15,9 @@ from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
 from hilbench.cia402.drive import Drive
 from hilbench.cia402.units import RPM
+from hilbench.compiled import of_record, table_of
+from hilbench.exchange.frame_tap import LineTap
+from hilbench.fast_path import kernel
 from hilbench.fast_path import layout as lay
 from hilbench.plant.motor_port import MotorMode
 
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     from hilbench.cia402.simulated import SimulatedDrive  # a bench without devices does not load them
 
 NO_SLOT = -1
+_EVERY = (lay.FRAME.names or ()).index("every")
 
 
 class FastPathRefusedError(Exception):
@@ -73,20 +77,9 @@ class Frames:
     sizes: list[int] = field(default_factory=list)
     constants: dict[int, bytes] = field(default_factory=dict)  #: data of frames that are always the same
 
-    def add(
-        self,
-        cob_id: int,
-        part: int,
-        content: PdoMap | bytes,
-        slots: Sequence[int] = (),
-        *,
-        every: int = 1,
-        count: int = 0,
-        period_ns: int = 0,
-        next_ns: int = 0,
-        clock: int = 0,
-    ) -> int:
-        """Add a frame after the others; returns its row. `period_ns`: sent by time of that `clock`, not by cycles."""
+    def add(self, cob_id: int, part: int, content: PdoMap | bytes, slots: Sequence[int] = (), **timing: int) -> int:
+        """Add a frame after the others; returns its row. `timing`: fields of `layout.FRAME`; without one it is sent in
+        each cycle."""
         row, first = len(self.rows), len(self.sent)
         if isinstance(content, PdoMap):
             size = content.size
@@ -94,10 +87,10 @@ class Frames:
         else:
             size = len(content)
             self.constants[row] = content
-        timing = lay.BY_TIME if period_ns else lay.BY_CYCLES
-        at_start = wire.header(cob_id, size)
-        sent = (first, len(self.sent))
-        self.rows.append((size, part, timing, clock, every, count, period_ns, next_ns, 0, *sent, *at_start, 0, 0))
+        crc, stuffing, bits = wire.header(cob_id, size)
+        fixed = {"cob_id": cob_id, "size": size, "part": part, "crc": crc, "stuffing": stuffing, "bits": bits}
+        values = {"every": 1} | timing | fixed
+        self.rows.append(of_record(lay.FRAME, first_sent=first, last_sent=len(self.sent), **values))
         self.cob_ids.append(cob_id)
         self.sizes.append(size)
         return row
@@ -113,6 +106,55 @@ class Frames:
         if cob_id not in self.cob_ids:
             raise FastPathRefusedError
         return self.cob_ids.index(cob_id)
+
+    def every(self, row: int) -> int:
+        """Cycles from one such frame to the next."""
+        return int(self.rows[row][_EVERY])
+
+
+class FastPathArrays:
+    """Arrays of the fast path of a process, from its frames and slots; `tap` gets the lines of `cycles` cycles at once.
+
+    `image`: of `kernel`, with `more` arrays; `rows` of frames, `data` (F, 8), `whole` and `real` values, `given`,
+    `left` and `clocks` are those of it.
+    """
+
+    def __init__(
+        self, frames: Frames, slots: Slots, *, tap: LineTap | None = None, cycles: int = 0, **more: Any
+    ) -> None:
+        self.rows, self.data = np.array(frames.rows, lay.FRAME), np.zeros((len(frames.rows), 8), np.uint8)
+        received, every_row = np.array(sorted(frames.received), lay.FIELD), range(len(frames.rows))
+        for name, side in (("first_received", "left"), ("last_received", "right")):
+            self.rows[name] = np.searchsorted(received["frame"], every_row, side)  # type: ignore[call-overload]
+        for row, content in frames.constants.items():
+            self.data[row, : len(content)] = np.frombuffer(content, np.uint8)
+        self.whole, self.real = np.array([*slots.whole, 0], np.int64), np.array([*slots.real, 0.0])
+        self.given, self.left = np.zeros(1, lay.GIVEN), np.zeros(1, lay.LEFT)
+        self.clocks = np.zeros(2, np.int64)
+        heads = b""
+        for row in self.rows if tap is not None else ():
+            head = tap.head(int(row["cob_id"])).encode("ascii", "backslashreplace") if tap is not None else b""
+            row["head"], row["head_end"] = len(heads), len(heads) + len(head)
+            heads += head
+        self.text = np.zeros(cycles * (len(self.rows) * lay.LINE + len(heads)) if tap is not None else 0, np.uint8)
+        self.image = kernel.Image(
+            frames=self.rows,
+            sent=np.array(frames.sent, lay.FIELD),
+            received=received,
+            data=self.data.reshape(-1),
+            order=np.zeros(len(self.rows), np.int64),
+            whole=self.whole,
+            real=self.real,
+            given=self.given,
+            left=self.left,
+            clocks=self.clocks,
+            scratch=np.zeros(1),
+            heads=np.array(list(heads), np.uint8),
+            text=self.text,
+            **more,
+        )
+        #: Table of the image.
+        self.table = table_of(self.image)
 
 
 def _fields(row: int, content: PdoMap, slots: Sequence[int]) -> list[tuple[int, ...]]:
@@ -193,16 +235,6 @@ def feedback_row(drive: Drive, raw: dict[int, int]) -> tuple[Any, ...]:
     )
 
 
-def table(rows: Sequence[tuple[Any, ...]], kind: np.dtype[Any]) -> lay.Rows:
-    """An array of rows."""
-    return np.array(list(rows), kind)
-
-
 def reals(vector: lay.Real) -> memoryview[float]:
     """View of the vector as a memoryview: access to single numbers is faster than through the array."""
     return vector.data.cast("B").cast("d")
-
-
-def octets(least: int) -> lay.Bytes:
-    """Zeros, at least so many octets, rounded up to a multiple of eight."""
-    return np.zeros(-(-least // 8) * 8, np.uint8)

@@ -21,8 +21,7 @@ from hilbench.exchange.addressing import declared_units
 from hilbench.exchange.device_clock import device_clock
 from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.fast_path.host import FastPathHost, PacketRun, run_devices, warm_up_packets
-from hilbench.fast_path.rig_run import RigFastCycle
-from hilbench.fast_path.sync_answers import SyncAnswers
+from hilbench.fast_path.host_cycle import RigFastCycle, SyncAnswers
 from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
 from hilbench.hardware.rigs import new_rig
 from hilbench.plant.interface import Plant, Steps, StepsInModes

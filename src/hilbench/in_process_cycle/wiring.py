@@ -13,12 +13,11 @@ from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.identifiers import SYNC
-from hilbench.canopen.pdo import PdoMap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
-from hilbench.fast_path.bench import BenchFrames, DriveFeedback, new_slots_of_kind
+from hilbench.fast_path.bench import BenchFrames
 from hilbench.fast_path.devices import HostFrames
-from hilbench.fast_path.tables import FastPathRefusedError, Frames, Slots, new_slots
+from hilbench.fast_path.tables import FastPathRefusedError, new_slots
 from hilbench.hardware.simulation import RigApplication
 from hilbench.twin.in_arrays import received_row
 from hilbench.twin.process import TwinApplication
@@ -47,28 +46,32 @@ class InOneProcess:
     machine: TwinApplication
 
 
-class Wiring:
-    """Frames of each fast-path cycle, and the slots of their values."""
+class Wiring(BenchFrames):
+    """Frames of each fast-path cycle, and the slots of their values.
+
+    `hosts`: hardware and twin: RPDOs, TPDOs and heartbeats of their devices; `received`: rows of `layout.FEEDBACK` for
+    what the twin receives of the axes.
+    """
 
     def __init__(self, here: InOneProcess, nodes: Nodes, sync: SyncCycle) -> None:
         """Raises FastPathRefusedError where cycles do not fit the fast path."""
-        self._here, self._nodes, self._sync = here, nodes, sync
-        self.slots, self.frames = Slots(), Frames()
-        #: Frames sent by the bench.
-        self.bench = BenchFrames(nodes, sync, self.frames, self.slots)
-        self._behind_sync = len(self.frames.rows)
-        #: Axis feedback that the twin receives: rows of `layout.FEEDBACK`, and where it is after that of the
-        #: drives that the bench sees.
+        self._here = here
+        super().__init__(nodes, sync)
         self.received: list[tuple[Any, ...]] = []
-        self.received_axes: list[int] = []
-        #: Values that the bench takes from the virtual I/O's TPDOs: rows of `layout.VIRTUAL_IO`; the row of its status,
-        #: and where that is among the whole numbers.
-        self.virtual_io_rows: list[tuple[int, int, int, int]] = []
-        self.status: tuple[int, slice] = (-1, slice(0))
+        for listener in here.machine.listeners:
+            row, taken = self.frames.row_of(listener.cob_id), new_slots(self.slots, listener.pdo)
+            if row < self.asked or self.frames.every(row) != 1:
+                raise FastPathRefusedError
+            self.frames.take(row, listener.pdo, taken)
+            self.received.append(received_row(listener, taken[listener.position], taken[listener.torque]))
+        self._check_phases()
+
+    def answer(self) -> None:
+        """Add the answers of the hosts."""
+        here = self._here
         self._check_listeners()
         drives = (*here.rig.drives, *here.machine.drives)
-        cycle_ns = nodes.config.cycle_ns
-        #: Hardware and twin: RPDOs, TPDOs and heartbeats of their devices.
+        cycle_ns = self.nodes.config.cycle_ns
         self.hosts = [
             HostFrames(side, served.devices, drives, self.frames, self.slots, cycle_ns)
             for side, served in enumerate((here.hardware, here.twin))
@@ -78,8 +81,6 @@ class Wiring:
         for host in self.hosts:
             host.answer()
         self._check_answers()
-        self._see()
-        self._check_phases()
 
     def _check_listeners(self) -> None:
         """Check that only the hosts receive the bench's frames."""
@@ -94,7 +95,7 @@ class Wiring:
     def _check_answers(self) -> None:
         """Check that only the bench and the twin's application receive the answers."""
         frames, here = self.frames, self._here
-        for row in range(self._behind_sync, len(frames.rows)):
+        for row in range(self.asked, len(frames.rows)):
             cob_id = frames.cob_ids[row]
             links = here.bus.hear(cob_id)
             known = (here.link, here.hardware.link, here.twin.link)
@@ -103,36 +104,11 @@ class Wiring:
             if here.hardware.host.addressees(cob_id) or here.twin.host.addressees(cob_id):
                 raise FastPathRefusedError
 
-    def _see(self) -> None:
-        """Enter the feedback that the bench takes from the drives, and the twin from the axes."""
-        frames, slots = self.frames, self.slots
-        #: Feedback of each drive to the bench.
-        self.seen = DriveFeedback(self._nodes, slots)
-        for pdo, taken in self.seen.taken:
-            frames.take(frames.row_of(pdo.cob_id), pdo, taken)
-        row, first, last = self._receive_pdo(self._nodes.io.status, is_float=False)
-        self.status = row, slice(first, last)
-        for pdo, part in zip(self._nodes.io.sent, self._nodes.measured.parts, strict=True):
-            self.virtual_io_rows.append((*self._receive_pdo(pdo, is_float=True), part.start))
-        for listener in self._here.machine.listeners:
-            row, taken = frames.row_of(listener.cob_id), new_slots(slots, listener.pdo)
-            if row < self._behind_sync or frames.rows[row][4] != 1:
-                raise FastPathRefusedError
-            frames.take(row, listener.pdo, taken)
-            self.received_axes.append(4 * (len(self.seen.raw) + len(self.received)))
-            self.received.append(received_row(listener, taken[listener.position], taken[listener.torque]))
-
-    def _receive_pdo(self, pdo: PdoMap, *, is_float: bool) -> tuple[int, int, int]:
-        """Enter a TPDO of the virtual I/O that the bench takes: row, first slot, end of the slots."""
-        row, taken = self.frames.row_of(pdo.cob_id), new_slots_of_kind(pdo, self.slots, is_float=is_float)
-        self.frames.take(row, pdo, taken)
-        return row, taken[0], taken[-1] + 1
-
     def _check_phases(self) -> None:
         """Check that the TPDOs that the bench expects are those that the nodes send, in phase."""
-        cycles, frames = self._sync.timing.cycles, self.frames
+        cycles, frames = self.sync.timing.cycles, self.frames
         sent = {frames.cob_ids[row]: (row, tpdo) for host in self.hosts for _, tpdo, row in host.answering}
-        expected: list[ExpectedPdo] = [*self._sync.due_always.values(), *self._sync.due_at_times]
+        expected: list[ExpectedPdo] = [*self.sync.due_always.values(), *self.sync.due_at_times]
         for pdo in expected:
             if pdo.cob_id not in sent:
                 raise FastPathRefusedError
@@ -141,9 +117,9 @@ class Wiring:
                 raise FastPathRefusedError
             if (cycles + pdo.every - tpdo.syncs - pdo.since) % pdo.every:
                 raise FastPathRefusedError
-        if {pdo.cob_id for pdo in expected} != set(self._nodes.answers):
+        if {pdo.cob_id for pdo in expected} != set(self.nodes.answers):
             raise FastPathRefusedError
-        for cob_id, answer in self._nodes.answers.items():
+        for cob_id, answer in self.nodes.answers.items():
             row, tpdo = sent[cob_id]
             if answer.size != frames.sizes[row] or answer.every != tpdo.transmission_type:
                 raise FastPathRefusedError

@@ -12,7 +12,7 @@ from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.master_guard import nodes_of_ours
 from hilbench.fast_path.host import FastPathHost, PacketRun, run_devices, warm_up_packets
-from hilbench.fast_path.sync_answers import SyncAnswers
+from hilbench.fast_path.host_cycle import SyncAnswers
 from hilbench.processes import log, started_by_bench, stop_request
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.fast_path_run import TwinFastCycle
@@ -63,6 +63,6 @@ def fast_path_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: T
 
     def begin(expected: Sequence[Frame]) -> PacketRun:
         cycle_ns = round(application.cycle_s * 1e9)
-        return TwinFastCycle(link, SyncAnswers(link, devices, drives, clock, expected, cycle_ns), application)
+        return TwinFastCycle(SyncAnswers(link, devices, drives, clock, expected, cycle_ns), application)
 
     return FastPathHost(host, link, application, begin)

@@ -22,9 +22,7 @@ from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.master_node import MasterNode
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import SyncCycle
-from hilbench.fast_path import kernel
 from hilbench.hardware.simulation import RigApplication, hardware, warm_up_in_modes
-from hilbench.in_process_cycle import counting
 from hilbench.in_process_cycle.cycles import FastPathCycles
 from hilbench.in_process_cycle.wiring import InOneProcess, Served
 from hilbench.topology.config import BenchConfig
@@ -43,8 +41,7 @@ class InProcess:
     def __init__(self, config: BenchConfig) -> None:
         self.bus = MemoryBus(config.bus_address.channel, config.bus.bitrate)
         self._lock = threading.RLock()
-        kernel.warm_up()
-        counting.warm_up()
+        FastPathCycles.warm_up()
         warm_up_in_modes(config)
         by_sync = config.model_copy(update={"pace": "lockstep"})
         setup = twin_setup(by_sync)

@@ -1,0 +1,340 @@
+"""Fast-path cycles of a bench, in one process with its devices or over a bus: from objects into arrays and back."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from typing import Any
+
+import numpy as np
+
+from hilbench.can.frame import Frame
+from hilbench.cycle_program import CompiledStage, StageAbortedError, never
+from hilbench.errors import BenchFaultError
+from hilbench.exchange.exchange import ExchangeStages
+from hilbench.exchange.frame_tap import FrameTap, LineTap
+from hilbench.exchange.master_node import MasterNode
+from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.sync_cycle import SyncCycle
+from hilbench.fast_path import counting
+from hilbench.fast_path import layout as lay
+from hilbench.fast_path.bench import BenchFrames
+from hilbench.fast_path.tables import FastPathArrays, FastPathRefusedError, reals
+from hilbench.topology.sample import CycleSample
+
+#: Cycles after which the fast path is tried again after a refusal.
+LOOK_AGAIN = 8
+#: Most cycles in one compiled call, whose lines of the trace are written together: some milliseconds of a run's time.
+TOGETHER = 32
+
+
+class BenchFastCycle(ABC):
+    """Fast-path cycles of a bench one after the other; `ExchangeStages` of those that are run together.
+
+    `more`: arrays of the image in addition to those of the bench.
+    """
+
+    def __init__(self, wiring: BenchFrames, tap: FrameTap | None, **more: Any) -> None:
+        """Raises FastPathRefusedError where cycles do not fit the fast path."""
+        self._wiring, self._nodes, self._sync, self._tap = wiring, wiring.nodes, wiring.sync, tap
+        self.left = False  #: True if a cycle left the fast path: the interpreter does, or finishes, it
+        self.sent = False  #: True if the cycle that left the fast path has been sent
+        self.done = self._compiled_ns = 0  # cycles; begin of those that are run together
+        self._heartbeat_sent = False
+        self._lines = tap if isinstance(tap, LineTap) else None
+        self._waiting = self._waiting_frames = 0  # cycles and frames whose lines are in the text
+        self.pieces: Sequence[CompiledStage] = ()  #: see `exchange.exchange.ExchangeStages`
+        self._of_pieces: tuple[object, ...] = ()
+        self._make_arrays(more)
+        self._fault = self._sync.write_last_answers()
+        self._nodes.begin_fast_path()
+        self._due, self._supervised = self._sync.due_always, self._nodes.supervised
+
+    def _make_arrays(self, more: dict[str, Any]) -> None:
+        nodes, wiring, measured = self._nodes, self._wiring, self._nodes.measured
+        targets, virtual_io = np.array(wiring.targets, lay.TARGET), np.array(wiring.virtual_io, lay.VIRTUAL_IO)
+        self._set_points = np.zeros(len(targets))
+        self._seen = np.array([*wiring.feedback, *more.pop("seen", ())], lay.FEEDBACK)
+        self._feedback = np.zeros(4 * len(self._seen))
+        self._arrays = arrays = FastPathArrays(
+            wiring.frames,
+            wiring.slots,
+            tap=self._lines,
+            cycles=TOGETHER,
+            targets=targets,
+            set_points=self._set_points,
+            seen=self._seen,
+            feedback=self._feedback,
+            virtual_io_rows=virtual_io,
+            came=measured.came,
+            torques=measured.torques,
+            before_Nm=measured.before_Nm,
+            of_drives=measured.of_drives,
+            virtual_io=measured.virtual_io,
+            **more,
+        )
+        # Access to one value is faster than through the arrays.
+        self._set_points_at, self._real_at = reals(self._set_points), reals(arrays.real)
+        given = np.flatnonzero(targets["source"] < 0).tolist()
+        self._names = [(at, name, per_unit) for at, (_, name, per_unit) in zip(given, nodes.set_points, strict=True)]
+        self._boundary_places = list(zip(wiring.boundary_slots, nodes.boundary_names, strict=True))
+        self._totals, self._received = np.zeros(1, counting.TOTALS), np.zeros(len(arrays.rows), np.int64)
+        self._passed = self._totals[0].item()
+        counted = counting.Counting(
+            *(arrays.rows, arrays.given, arrays.left, arrays.clocks, arrays.whole),
+            *(measured.counted, self._totals, self._received, np.array([wiring.status], counting.STATUS)),
+        )
+        self._count = CompiledStage(counting.count, nodes.config.cycle_ns, counted, fallback=never)
+        self._heartbeat: list[CompiledStage] = []
+        if wiring.own_heartbeat >= 0:
+            self._heartbeat.append(
+                CompiledStage(counting.heartbeat_sent, wiring.own_heartbeat, counted, fallback=self._send_heartbeat)
+            )
+
+    # -- parts of a cycle ------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _fitting_cycles(self, now_ns: int) -> int:
+        """Number of cycles from now on that fit the fast path, as far as is known now."""
+
+    @abstractmethod
+    def _stages(self) -> Sequence[CompiledStage] | None:
+        """Compiled stages between outputs and counting; None where a part of a cycle is Python's."""
+
+    @abstractmethod
+    def _exchange(self, begun_ns: int) -> bool:
+        """Run these parts of a cycle one by one; False where it does not fit: nothing was done, or `sent`."""
+
+    @abstractmethod
+    def _account(self, frames: int, bits: int, duration_ns: int, begun_ns: int) -> None:
+        """Account for cycles that were run."""
+
+    @abstractmethod
+    def _give(self) -> None:
+        """Update objects that are not of the bench."""
+
+    def _send_heartbeat(self, _: int) -> bool:
+        """The bench's heartbeat was on the wire."""
+        self._heartbeat_sent = True
+        return True
+
+    @property
+    def _is_steady(self) -> bool:
+        """True if the drives still follow, and the same answers are due."""
+        nodes, sync = self._nodes, self._sync
+        return nodes.follow and sync.due_always is self._due and nodes.supervised == self._supervised
+
+    # -- cycle by cycle --------------------------------------------------------------------------------------
+
+    def cycle(self, outputs: Mapping[str, float]) -> bool:
+        """Run one; False where it does not fit: nothing was done, or it was `sent`. Raises as `SyncCycle` and
+        `Nodes.decode`."""
+        begun_ns = time.monotonic_ns()
+        if not self._fitting_cycles(begun_ns):
+            return False
+        set_points, real = self._set_points_at, self._real_at
+        for at, name, per_unit in self._names:
+            set_points[at] = outputs.get(name, 0.0) * per_unit
+        for slot, name in self._boundary_places:
+            real[slot] = outputs[name]
+        self._set_times()
+        if not self._exchange(begun_ns):
+            return False
+        self._count()
+        if self._lines is None and self._tap is not None:
+            self._tap.write(self._frames_of(self._arrays.image.order[: self._arrays.left[0]["frames"]].tolist()))
+            self._tap.end_cycle()
+        self._pass(begun_ns)
+        return True
+
+    def _set_times(self) -> None:
+        self._arrays.given[0]["start_ns"] = self._sync.next_sync_ns
+
+    def finish(self) -> list[Frame]:
+        """The rest, interpreted, of a cycle that is none, but `sent`; as `SyncCycle.exchange`."""
+        raise AssertionError("a cycle that leaves is not sent")
+
+    # -- several of them -------------------------------------------------------------------------------------
+
+    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> BenchFastCycle | None:
+        """This run as `exchange.exchange.ExchangeStages`; None where a part of a cycle is Python's."""
+        stages = None if self._tap is not None and self._lines is None else self._stages()
+        if stages is None:
+            return None
+        if self._of_pieces != (stages, sample, shown):
+            self._of_pieces = stages, sample, shown
+            filling = self._nodes.measured.filling(sample)
+            self.pieces = self._outputs_of(sample, shown), *stages, self._count, filling
+        return self
+
+    def _outputs_of(self, sample: CycleSample, shown: Mapping[str, str]) -> CompiledStage:
+        """Take outputs from the signals that show them."""
+        place, outputs = type(sample).place, self._names
+        arrays = counting.Outputs(
+            sample.reals,
+            self._set_points,
+            np.array([(place(shown[name]), at) for at, name, _ in outputs], counting.OUTPUT),
+            np.array([per_unit for _, _, per_unit in outputs]),
+            self._arrays.real,
+            np.array([(place(shown[name]), slot) for slot, name in self._boundary_places], counting.OUTPUT),
+        )
+        return CompiledStage(counting.take_outputs, 0, arrays, fallback=never)
+
+    def _leave(self) -> None:
+        """Leave the fast path in a cycle."""
+        self.left = True
+        raise StageAbortedError
+
+    def cycles(self) -> int:
+        """Number of cycles that may run compiled (`exchange.exchange.ExchangeStages`)."""
+        self._compiled_ns = now_ns = time.monotonic_ns()
+        self._set_times()
+        return min(self._fitting_cycles(now_ns), self._nodes.not_silent_cycles, TOGETHER - self._waiting)
+
+    def passed(self) -> None:
+        """Account for the cycles run compiled (`exchange.exchange.ExchangeStages`)."""
+        self._pass(self._compiled_ns)
+
+    def _pass(self, begun_ns: int) -> None:
+        """The objects that count cycles learn of those since the last time. Raises as `SyncCycle` and
+        `Nodes.decode`."""
+        totals = self._totals[0].item()
+        cycles, frames, bits, duration_ns, _ = (now - then for now, then in zip(totals, self._passed, strict=True))
+        before = self._passed[0]
+        if not cycles:
+            return
+        self._passed = totals
+        if self._lines is not None:
+            self._waiting += cycles
+            self._waiting_frames += frames
+        self._account(frames, bits, duration_ns, begun_ns)
+        last_bits, heartbeat_sent = int(self._arrays.left[0]["bits"]), self._heartbeat_sent
+        self._heartbeat_sent = False
+        self._sync.count(cycles, bits, last_bits, begun_ns, time.monotonic_ns(), heartbeat_sent=heartbeat_sent)
+        self.done += cycles
+        fault, self._fault = self._fault or self._write_lines(TOGETHER), None
+        if fault is not None:
+            raise fault
+        received = [(node, int(self._received[row]) - before) for node, row in self._heartbeats()]
+        received = [(node, at) for node, at in received if at > 0]
+        self._nodes.pass_fast_path(cycles, received, max(0, totals[4] - before))
+
+    @abstractmethod
+    def _heartbeats(self) -> Sequence[tuple[int, int]]:
+        """Node ids of those whose heartbeats may come, each with its row."""
+
+    def _write_lines(self, least: int) -> BenchFaultError | None:
+        """Write the lines of the last cycles, if they are so many; returns the trace's error, if any."""
+        if self._lines is None or self._waiting < least:
+            return None
+        given = self._arrays.given[0]
+        text = self._arrays.text[: given["text"]].tobytes().decode("ascii")
+        frames, self._waiting, self._waiting_frames = self._waiting_frames, 0, 0
+        given["text"] = 0
+        try:
+            self._lines.write_lines(text, frames)
+            self._lines.end_cycle()
+        except BenchFaultError as fault:
+            return fault
+        return None
+
+    def _frames_of(self, rows: Sequence[int]) -> list[Frame]:
+        """Frames of these rows as they were on the wire."""
+        frames, times_ns, data = self._wiring.frames, self._arrays.rows["time_ns"].tolist(), self._arrays.data
+        return [Frame(frames.cob_ids[row], data[row].tobytes()[: frames.sizes[row]], times_ns[row]) for row in rows]
+
+    # -- back to the objects ---------------------------------------------------------------------------------
+
+    def end(self) -> None:
+        """The objects get what the arrays have. Raises the trace's error."""
+        fault = self._write_lines(1)
+        if self.done:
+            self._give()
+            self._give_bench()
+        if fault is not None:
+            raise fault
+
+    def _give_bench(self) -> None:
+        wiring, arrays, nodes = self._wiring, self._arrays, self._nodes
+        for cob_id, answer in nodes.answers.items():
+            row = wiring.frames.row_of(cob_id)
+            since = int(arrays.rows[row]["count"])
+            data = arrays.data[row].tobytes()[: answer.size] if since < self.done else None
+            answer.answered_until(self.done, data, since)
+        wiring.give(self._seen[: len(nodes.drives)], arrays.whole)
+        for (drive, _, _), (at, _, _) in zip(nodes.set_points, self._names, strict=True):
+            drive.setpoint = float(self._set_points[at])
+        nodes.end_fast_path(self.done)
+
+
+class FastPath(ABC):
+    """Runs the cycles of a bench that fit the fast path; see `exchange.exchange.FastPathCycles`."""
+
+    def __init__(self, nodes: Nodes, sync: SyncCycle, own: MasterNode) -> None:
+        self._nodes, self._sync, self._own = nodes, sync, own
+        self._run: BenchFastCycle | None = None
+        self._wait = 0  # cycles until it is tried again
+
+    @abstractmethod
+    def _new_run(self) -> BenchFastCycle | None:
+        """Begin fast-path cycles. None, or FastPathRefusedError: they do not fit."""
+
+    @property
+    def _locks(self) -> Sequence[AbstractContextManager[Any]]:
+        """What is held while the arrays are used."""
+        return (self._sync.lock,)
+
+    @abstractmethod
+    def _after(self, done: int) -> None:
+        """So many cycles were run until one left the fast path."""
+
+    def cycle(self, outputs: Mapping[str, float]) -> bool:
+        """Run one, as `Exchange.cycle`; False where it was none, and nothing was done."""
+        with self._locked():
+            run = self._run or self._begin()
+            if run is None:
+                return False
+            if not run.left and run.cycle(outputs):
+                return True
+            self.settle()
+            if not run.sent:
+                return False
+            received = run.finish()
+        self._own.handle(received)
+        self._nodes.decode(received, self._sync.before_sync)
+        return True
+
+    @contextmanager
+    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> Iterator[ExchangeStages | None]:
+        """Compiled stages (`exchange.exchange.FastPathCycles`)."""
+        with self._locked():
+            yield None if self._run is None else self._run.chained(sample, shown)
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        with ExitStack() as held:
+            for lock in self._locks:
+                held.enter_context(lock)
+            yield
+
+    def settle(self) -> None:
+        """Give the objects what the arrays have."""
+        run, self._run = self._run, None
+        if run is not None:
+            self._after(run.done)
+            run.end()
+
+    def _begin(self) -> BenchFastCycle | None:
+        if self._wait:
+            self._wait -= 1
+            return None
+        if self._nodes.fits_fast_path and self._sync.fits_fast_path and not self._own.has_answers:
+            try:
+                self._run = self._new_run()
+            except FastPathRefusedError:
+                self._run = None
+        if self._run is None:
+            self._wait = LOOK_AGAIN
+        return self._run
