@@ -338,6 +338,11 @@ def _table_of_fields(arrays: tuple[Any, ...]) -> NDArray[np.int64]:
     return table
 
 
+def rows_of(kind: type[tuple[Any, ...]]) -> int:
+    """Rows of the `table_of` a NamedTuple of arrays."""
+    return sum(rows_of(each) if isinstance(each, type) else 1 for each in _fields(kind))
+
+
 def record_type(*names: str, of: type[np.generic] = np.float64) -> np.dtype[Any]:
     """Type of a record of floats, or of int64: a vector's elements by their names."""
     return np.dtype([(name, of) for name in names])

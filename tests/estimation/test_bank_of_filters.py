@@ -10,10 +10,11 @@ import pytest
 
 from hilbench.estimation.web_line.balance import BalanceSample
 from hilbench.estimation.web_line.config import ChangepointConfig
-from hilbench.estimation.web_line.synchronizers import kalman
+from hilbench.estimation.web_line.synchronizers import filters
 from hilbench.estimation.web_line.synchronizers.base import SyncSample
 from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSynchronizer
-from hilbench.estimation.web_line.synchronizers.plant import FilterInputs, Plant
+from hilbench.estimation.web_line.synchronizers.filters import Filters
+from hilbench.estimation.web_line.synchronizers.plant import Plant
 
 CYCLE_S, E_PA = 0.002, 8.7e9
 PLANT = Plant(E_PA, 30.0, 25.0, 0.5 * 65e-6, 1.0)
@@ -30,21 +31,21 @@ class Hypothesis:
     kept: int = JUMP[1]
     age: int = 0
 
-    def step(self, u: np.ndarray) -> None:
+    def step(self, u: np.void) -> None:
         """Predict by matrices, correct by the position; states x, v, E, its rate, error of the mass."""
-        dt, mass = u[kalman.DURATION_S], u[kalman.MASS_KG]
-        g = np.array([0.0, 0.0, -u[kalman.WEB_N] / mass, 0.0, -u[kalman.ACCELERATION_M_S2]])
+        dt, mass = u["duration_s"], u["mass_kg"]
+        g = np.array([0.0, 0.0, -u["web_N"] / mass, 0.0, -u["acceleration_m_s2"]])
         into = np.array([0.5 * dt * dt, dt, 0.0, 0.0, 0.0])
         f = np.eye(5) + np.outer(into, g)
         f[0, 1] += dt
         f[2, 3] += dt
-        self.z = f @ self.z + into * u[kalman.FORCE_N] / mass
-        self.p = f @ self.p @ f.T + np.outer(into, into) * u[kalman.FORCE_VARIANCE] / mass**2
-        self.p[2, 2] += dt * u[kalman.E_VARIANCE_PER_S]
+        self.z = f @ self.z + into * u["force_N"] / mass
+        self.p = f @ self.p @ f.T + np.outer(into, into) * u["force_variance"] / mass**2
+        self.p[2, 2] += dt * u["E_variance_per_s"]
         wander = np.diag([1.0, 1.0, 1.0, 1.0, 1.0 - dt / 36000.0])
         self.z, self.p = wander @ self.z, wander @ self.p @ wander
-        self.p[4, 4] += 2.0 * dt / 36000.0 * u[-1] ** 2
-        innovation, variance = u[kalman.POSITION_M] - self.z[0], self.p[0, 0] + u[kalman.POSITION_VARIANCE]
+        self.p[4, 4] += 2.0 * dt / 36000.0 * u["priors"][-1] ** 2
+        innovation, variance = u["position_m"] - self.z[0], self.p[0, 0] + u["position_variance"]
         gain = self.p[:, 0] / variance
         self.z = self.z + gain * innovation
         self.p = self.p - np.outer(gain, self.p[0])
@@ -71,7 +72,7 @@ class PlainBank:
         p = np.diag([1e-8, 1.0, (0.01 * self.config.initial_deviation_pct) ** 2, 0.0, mass_share**2])
         self.places[0] = Hypothesis(np.array([x_m, 0.0, 1.0, 0.0, 0.0]), p)
 
-    def update(self, u: np.ndarray) -> None:
+    def update(self, u: np.void) -> None:
         self.cycle += 1
         alive = [each for each in self.places if each is not None]
         for each in alive:
@@ -136,15 +137,19 @@ def samples(cycles: int, stepped_at: int, seed: int) -> list[SyncSample]:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_e_is_what_matrices_say_cycle_by_cycle_through_a_step(seed: int) -> None:
     config = ChangepointConfig()
-    method, inputs, plain = ChangepointSynchronizer(config, PLANT), FilterInputs(PLANT, config), PlainBank(config)
-    inputs.u[kalman.E_VARIANCE_PER_S] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
+    method, inputs, plain = (
+        ChangepointSynchronizer(config, PLANT),
+        Filters(config, PLANT, (0.0, 0.0, 1)),
+        PlainBank(config),
+    )
+    inputs.inputs["E_variance_per_s"] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
     largest = 0.0
     rows = samples(400, 250, seed)
     plain.start(rows[0].balance.x2_m, config.also.inertia_share)
     for row in rows:
         estimate = method.update(row)
-        if inputs.update(row):
-            plain.update(inputs.u)
+        if inputs.take(filters.FILL, row):
+            plain.update(inputs.inputs)
         largest = max(largest, abs(estimate.youngs_modulus_Pa / E_PA - plain.told))
     assert largest < 1e-6
     assert plain.told > 1.1, "the step has been followed"

@@ -20,10 +20,10 @@ def blocks_of(accel_m_s2: float, tension_N: float, strange: int | None = None) -
     if strange is not None:
         x_m[strange] += 0.5 * CYCLE_S * 3.0
     v_m_s = np.diff(x_m, prepend=2.0 * x_m[0] - x_m[1]) / CYCLE_S
-    state, found = block_means.new_state(MASS_KG, CYCLE_S), []
+    state, found = block_means.new_state(MASS_KG, CYCLE_S)[0], []
     for v in v_m_s:
         if block_means.take(state, tension_N + MASS_KG * accel_m_s2, WEB, v):
-            found.append((state[block_means.FORCE_N], state[block_means.WEB_PER_PA]))
+            found.append((state["force_N"], state["web_per_Pa"]))
     return found
 
 
@@ -47,7 +47,7 @@ def test_a_position_of_another_instant_hardly_shows(strange: int) -> None:
 @pytest.mark.parametrize("collected", [0, 4])
 def test_a_block_that_begins_behind_a_gap_lasts_since_then(collected: int) -> None:
     """By its duration the way of the web is counted: what is missing before it began is no part of it."""
-    state = block_means.new_state(MASS_KG, CYCLE_S)
+    state = block_means.new_state(MASS_KG, CYCLE_S)[0]
     for _ in range(collected):
         block_means.take(state, 80.0, WEB, 3.0)
     block_means.begin_behind_gap(state)
@@ -55,4 +55,4 @@ def test_a_block_that_begins_behind_a_gap_lasts_since_then(collected: int) -> No
     while not block_means.take(state, 80.0, WEB, 3.0):
         cycles += 1
     assert cycles == 1 + round(block_means.BLOCK_S / CYCLE_S)  # the first speed is one across the gap
-    assert state[block_means.DURATION_S] == pytest.approx(cycles * CYCLE_S)
+    assert state["duration_s"] == pytest.approx(cycles * CYCLE_S)

@@ -5,63 +5,65 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hilbench.estimation.bank import BankArrays, new_bank
 from hilbench.estimation.web_line.config import AlsoEstimated, EkfConfig
 from hilbench.estimation.web_line.synchronizers import kalman
-from hilbench.estimation.web_line.synchronizers.ekf import _step
 
 DT_S, MASS_KG, RATIO, FORCE_SD_N, POSITION_SD_M = 0.002, 30.0, 25.0, 1.25, 7e-8
 
 
-def inputs(offset_prior: float) -> np.ndarray:
-    u = np.zeros(kalman.INPUTS)
-    u[kalman.DURATION_S], u[kalman.MASS_KG], u[kalman.FORCE_PER_TORQUE] = DT_S, MASS_KG, RATIO
-    u[kalman.FORCE_VARIANCE], u[kalman.POSITION_VARIANCE] = FORCE_SD_N**2, POSITION_SD_M**2
-    u[kalman.PRIORS] = offset_prior
-    u[kalman.E_VARIANCE_PER_S] = 1e-6
+def inputs(offset_prior: float) -> np.void:
+    u = np.zeros(1, kalman.INPUTS)[0]
+    u["duration_s"], u["mass_kg"], u["force_per_torque"] = DT_S, MASS_KG, RATIO
+    u["force_variance"], u["position_variance"] = FORCE_SD_N**2, POSITION_SD_M**2
+    u["priors"][0] = offset_prior
+    u["E_variance_per_s"] = 1e-6
     return u
 
 
-def two_filters(priors: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Two equal filters beside each other, E within 20 %: means, covariances, places of what they have, scratch."""
-    z, p = np.zeros((kalman.SIZE, 2)), np.zeros((kalman.SIZE, kalman.SIZE, 2))
+def two_filters(priors: list[float]) -> BankArrays:
+    """Two equal filters beside each other, E within 20 %."""
+    places = np.array([*range(kalman.OFFSET), *(np.flatnonzero(priors) + kalman.OFFSET)])
+    bank = new_bank(kalman.SIZE, places, 0.0, 0.0, capacity=2)
     for i in range(2):
-        kalman.new_filter(z, p, i, 0.0, 0.2, np.array(priors))
-    return z, p, kalman.places_of(np.array(priors)), (np.zeros(kalman.SIZE), np.zeros((kalman.SIZE + 4, 2)))
+        kalman.new_filter(bank.z, bank.p, i, 0.0, 0.2, np.array(priors))
+    return bank
 
 
-def joseph(z: np.ndarray, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def joseph(z: np.ndarray, p: np.ndarray, u: np.void) -> tuple[np.ndarray, np.ndarray]:
     """One cycle with matrices and Joseph's form; nothing in common with the compiled code but the state's order."""
     k = kalman
     g = np.zeros(k.SIZE)
-    g[k.E], g[k.OFFSET] = -u[k.WEB_N] / MASS_KG, -RATIO / MASS_KG
-    g[k.VISCOUS], g[k.DRY] = -u[k.SPEED_M_S] / MASS_KG, -np.sign(u[k.SPEED_M_S]) / MASS_KG
-    g[k.MASS] = -u[k.ACCELERATION_M_S2]
+    g[k.E], g[k.OFFSET] = -u["web_N"] / MASS_KG, -RATIO / MASS_KG
+    g[k.VISCOUS], g[k.DRY] = -u["speed_m_s"] / MASS_KG, -np.sign(u["speed_m_s"]) / MASS_KG
+    g[k.MASS] = -u["acceleration_m_s2"]
     into = np.zeros(k.SIZE)
     into[k.X], into[k.V] = DT_S**2 / 2.0, DT_S
     f = np.eye(k.SIZE) + np.outer(into, g)
     f[k.X, k.V] += DT_S
     f[k.E, k.RATE] += DT_S
-    z = f @ z + into * u[k.FORCE_N] / MASS_KG
-    p = f @ p @ f.T + np.outer(into, into) * u[k.FORCE_VARIANCE] / MASS_KG**2
-    p[k.E, k.E] += DT_S * u[k.E_VARIANCE_PER_S]
-    gain = p[:, k.X] / (p[k.X, k.X] + u[k.POSITION_VARIANCE])
+    z = f @ z + into * u["force_N"] / MASS_KG
+    p = f @ p @ f.T + np.outer(into, into) * u["force_variance"] / MASS_KG**2
+    p[k.E, k.E] += DT_S * u["E_variance_per_s"]
+    gain = p[:, k.X] / (p[k.X, k.X] + u["position_variance"])
     rest = np.eye(k.SIZE)
     rest[:, k.X] -= gain
-    innovation = u[k.POSITION_M] - z[k.X]
-    return z + gain * innovation, rest @ p @ rest.T + np.outer(gain, gain) * u[k.POSITION_VARIANCE]
+    innovation = u["position_m"] - z[k.X]
+    return z + gain * innovation, rest @ p @ rest.T + np.outer(gain, gain) * u["position_variance"]
 
 
 def test_a_hundred_steps_agree_with_josephs_form() -> None:
     rng = np.random.default_rng(1)
-    z, p, places, scratch = two_filters([0.05, 0.5, 1.0, 0.01])
+    filters = two_filters([0.05, 0.5, 1.0, 0.01])
+    z, p, *_ = filters
     p[kalman.RATE, kalman.RATE] = 1e-4
     expected = z[:, 0].copy(), p[:, :, 0].copy()
     u = inputs(0.0)
     for _ in range(100):
-        u[kalman.FORCE_N], u[kalman.WEB_N] = rng.normal(90.0, 5.0), rng.normal(80.0, 5.0)
-        u[kalman.SPEED_M_S], u[kalman.ACCELERATION_M_S2] = rng.normal(0.0, 3.0), rng.normal(0.0, 1.0)
-        u[kalman.POSITION_M] = rng.normal(0.0, 1e-4)
-        _step(z, p, u, places, *scratch)
+        u["force_N"], u["web_N"] = rng.normal(90.0, 5.0), rng.normal(80.0, 5.0)
+        u["speed_m_s"], u["acceleration_m_s2"] = rng.normal(0.0, 3.0), rng.normal(0.0, 1.0)
+        u["position_m"] = rng.normal(0.0, 1e-4)
+        kalman.step(filters, u)
         expected = joseph(*expected, u)
     scale = np.sqrt(np.diag(expected[1]))
     for i in range(2):
@@ -74,13 +76,14 @@ def test_offset_and_e_come_out_as_least_squares_says() -> None:
     n, prior = 4000, 0.05
     web_N = np.linspace(76.0, 99.0, n)
     force_N = 1.2 * web_N + RATIO * 0.04 + FORCE_SD_N * rng.standard_normal(n)
-    z, p, places, scratch = two_filters([prior, 0.0, 0.0, 0.0])
+    filters = two_filters([prior, 0.0, 0.0, 0.0])
+    z, p, *_ = filters
     u = inputs(prior)
-    u[kalman.E_VARIANCE_PER_S] = 0.0
+    u["E_variance_per_s"] = 0.0
     for force, web in zip(force_N, web_N, strict=True):
-        u[kalman.FORCE_N], u[kalman.WEB_N] = force, web
-        u[kalman.POSITION_M] = POSITION_SD_M * rng.standard_normal()
-        _step(z, p, u, places, *scratch)
+        u["force_N"], u["web_N"] = force, web
+        u["position_m"] = POSITION_SD_M * rng.standard_normal()
+        kalman.step(filters, u)
     # The filter sees forces through positions and lets the offset wander a little: it knows a little less.
     rows = np.column_stack([web_N, np.full(n, RATIO)]) / FORCE_SD_N
     covariance = np.linalg.inv(rows.T @ rows + np.diag([1.0 / 0.2**2, 1.0 / prior**2]))

@@ -11,10 +11,6 @@ from tests.tiers import slow
 from hilbench.estimation.servo_axis.balance import ShaftSample
 from hilbench.estimation.servo_axis.config import BesideInertia, InertiaConfig
 from hilbench.estimation.servo_axis.inertia import (
-    COULOMB,
-    COULOMB_SD,
-    VISCOUS,
-    VISCOUS_SD,
     InertiaEstimator,
 )
 from hilbench.estimation.servo_axis.offline import ShaftRecording, track
@@ -115,11 +111,11 @@ def test_friction_is_as_sure_as_it_is_told_to_be(commands: np.ndarray) -> None:
             estimator.update(ShaftSample(CYCLE_S, position, torque))
             rows.append(estimator.stated.copy())
         stated = np.array(rows)[200:]
-        for name, at, sd, value in (
-            ("dry", COULOMB, COULOMB_SD, truth.coulomb_friction_Nm),
-            ("viscous", VISCOUS, VISCOUS_SD, truth.viscous_friction_Nm_s_per_rad),
+        for name, estimated, value in (
+            ("dry", "coulomb", truth.coulomb_friction_Nm),
+            ("viscous", "viscous", truth.viscous_friction_Nm_s_per_rad),
         ):
-            held.setdefault(name, []).append(np.abs(stated[:, at] - value) <= 1.96 * stated[:, sd])
+            held.setdefault(name, []).append(np.abs(stated[estimated] - value) <= 1.96 * stated[f"{estimated}_sd"])
     for name, seeds in held.items():
         assert np.mean(seeds) > 0.93, name
 

@@ -36,7 +36,7 @@ def look(
     """Whether a shift is sure with the balance of this cycle."""
     if not block_means.take(block, force_N, web_per_Pa, v_m_s):
         return False
-    means = block[block_means.FORCE_N], block[block_means.WEB_PER_PA], block[block_means.VELOCITY_M_S]
+    means = block["force_N"], block["web_per_Pa"], block["velocity_m_s"]
     return bool(torque_shift.look(state, *means, E_PA, may_decide, may_be_off_N))
 
 
@@ -63,7 +63,7 @@ class Found:
         deviation of what moves the strain beside the loop, half of it with the force of the web and half without;
         `may_be_off_N`: what the balance may have been off by all the time."""
         rng = np.random.default_rng(seed)
-        block, state = block_means.new_state(mass_kg=30.0, cycle_s=CYCLE_S), torque_shift.new_state()
+        block, state = block_means.new_state(mass_kg=30.0, cycle_s=CYCLE_S)[0], torque_shift.new_state()[0]
         self.at_s: float | None = None
         self.shift_N: float | None = None
         self.modulus_Pa = np.nan
@@ -82,7 +82,7 @@ class Found:
             force_N = acting_Pa * h + d_N + rng.normal(0.0, NOISE_N)
             if look(state, block, force_N, h + moved_N[1] / E_PA, v_m_s, may_be_off_N=may_be_off_N):
                 assert self.shift_N is None
-                self.shift_N, self.modulus_Pa = state[[torque_shift.FOUND_N, torque_shift.FOUND_PA]]
+                self.shift_N, self.modulus_Pa = state["found_N"], state["found_Pa"]
                 self.at_s = t_s
             self.undecided_s += CYCLE_S * torque_shift.undecided(state)
 
@@ -131,7 +131,7 @@ def test_nothing_is_said_of_a_torque_that_changes_with_the_speed() -> None:
 
 
 def test_a_finder_that_may_not_decide_keeps_it_to_itself() -> None:
-    block, state = block_means.new_state(mass_kg=30.0, cycle_s=CYCLE_S), torque_shift.new_state()
+    block, state = block_means.new_state(mass_kg=30.0, cycle_s=CYCLE_S)[0], torque_shift.new_state()[0]
     h = TENSION_N / E_PA
     said = []
     for k in range(5000):

@@ -9,19 +9,20 @@ and takes over as soon as the data prefer it. The deviation is that of the mixtu
 Three kinds of child are born of the most probable hypothesis: a *jump* of the watched parameter (large and small in
 turn), a *drift* (a rate of it), and, of a drift, its *end*.
 
-Means (n, H) and covariances (n, n, H) of all hypotheses are columns, with a record (H, RECORD) of each. The bank is
+Means (n, H) and covariances (n, n, H) of all hypotheses are columns, with a record of each. The bank is
 independent of the kind of filter: a cycle is a step of all filters, whose log likelihoods are added to their weights
-(`reweight`), then `compare`, `mix` and `births`. Dropped filters are stepped with the others.
+(`compare`), then `give_birth`. Dropped filters are stepped with the others.
 """
 
 from __future__ import annotations
 
 from math import exp, log, sqrt
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import compiled
+from hilbench.compiled import Reals, Reals2, Reals3, Records, Wholes, compiled, record_type, records
 
 Array = NDArray[np.float64]
 #: Indices in a filter's state.
@@ -38,57 +39,81 @@ CAPACITY = _YOUNG + 8
 _HOPELESS = 12.0
 _SMALL_JUMP = 0.15  #: size of the small jumps over that of the large ones
 
-# Columns of the hypotheses' records.
-WEIGHT, _KIND, _AGE, ALIVE = range(4)
-RECORD = 4
-# Settings of births: priors (logarithms), variances of a jump and of a drift's rate, and the cycle's number.
-LOG_JUMP, LOG_DRIFT, JUMP_VARIANCE, DRIFT_VARIANCE, CYCLE = range(5)
-SETTINGS = 5
+#: Log weight of a hypothesis, its kind, cycles since its birth; 0: it is dropped.
+HYPOTHESIS: Final = np.dtype([("weight", "f8"), ("kind", "i8"), ("age", "f8"), ("alive", "f8")])
+#: Priors of a birth (logarithms), variances of a jump and of a drift's rate, the cycle's number; time without
+#: information on the watched parameter.
+BIRTHS: Final = record_type("log_jump", "log_drift", "jump_variance", "drift_variance", "cycle", "quiet_s")
 
 
-def set_priors(settings: Array, jumps_per_s: float, drift_onsets_per_s: float, cycle_s: float) -> None:
-    """Set the prior of one birth from the rates of jumps and of drift onsets."""
-    settings[LOG_JUMP] = log(jumps_per_s * _EVERY[_JUMP] * cycle_s)
-    settings[LOG_DRIFT] = log(drift_onsets_per_s * _EVERY[_DRIFT] * cycle_s)
+class BankArrays(NamedTuple):
+    """A bank of filters with `size` states, for compiled callers."""
+
+    z: Reals2  #: means (size, H) of the hypotheses
+    p: Reals3  #: covariances (size, size, H)
+    hypotheses: Annotated[Any, records(HYPOTHESIS)]
+    births: Annotated[Any, BIRTHS]
+    places: Wholes  #: indices of the states that the filters have
+    work: Reals2  #: scratch (2 size + 3, H)
+    likelihoods: Reals  #: log likelihoods (H,) of this cycle
+    shares: Reals  #: probabilities (H,) of the hypotheses, 0 of dropped ones
+    out: Reals2  #: means and standard deviations of the mixture; deviation of the watched parameter by noise alone
+
+    def begin(self) -> None:
+        """Restart from the filter in the first column alone."""
+        self.hypotheses[:] = 0
+        self.hypotheses["alive"][0] = 1.0
+        self.births["quiet_s"] = 0.0
+        self.out[0], self.out[1] = self.z[:, 0], np.sqrt(np.diag(self.p[:, :, 0]))
+
+    def set_priors(self, jumps_per_s: float, drift_onsets_per_s: float, cycle_s: float) -> None:
+        """Set the prior of one birth from the rates of jumps and of drift onsets."""
+        self.births["log_jump"] = log(jumps_per_s * _EVERY[_JUMP] * cycle_s)
+        self.births["log_drift"] = log(drift_onsets_per_s * _EVERY[_DRIFT] * cycle_s)
+
+
+def new_bank(
+    size: int, places: Places, jump_pct: float, drift_pct_per_s: float, capacity: int = CAPACITY
+) -> BankArrays:
+    """Bank of filters with `size` states at these `places`, none of them alive; deviations of a jump of the watched
+    parameter and of a drift's rate."""
+    births = np.zeros(1, BIRTHS)
+    births["jump_variance"], births["drift_variance"] = (0.01 * jump_pct) ** 2, (0.01 * drift_pct_per_s) ** 2
+    filters = np.zeros((size, capacity)), np.zeros((size, size, capacity)), np.zeros(capacity, HYPOTHESIS)
+    work, likelihoods, shares = np.zeros((2 * size + 3, capacity)), np.zeros(capacity), np.zeros(capacity)
+    return BankArrays(*filters, births, places, work, likelihoods, shares, np.zeros((3, size)))
 
 
 @compiled
-def _free_place(records: Array) -> int:
+def _free_place(hypotheses: Records) -> int:
     """Index of a hypothesis that may be replaced; -1: all are needed."""
     worst = -1
-    for i in range(records.shape[0]):
-        if records[i, ALIVE] == 0.0:
+    for i in range(len(hypotheses)):
+        if hypotheses[i].alive == 0.0:
             return i
-        of_age = records[i, _AGE] >= _PROTECTED[int(records[i, _KIND])]
-        if of_age and (worst < 0 or records[i, WEIGHT] < records[worst, WEIGHT]):
+        of_age = hypotheses[i].age >= _PROTECTED[hypotheses[i].kind]
+        if of_age and (worst < 0 or hypotheses[i].weight < hypotheses[worst].weight):
             worst = i
     return worst
 
 
 @compiled
-def _best(records: Array) -> int:
+def _best(hypotheses: Records) -> int:
     best = -1
-    for i in range(records.shape[0]):
-        if records[i, ALIVE] != 0.0 and (best < 0 or records[i, WEIGHT] > records[best, WEIGHT]):
+    for i in range(len(hypotheses)):
+        if hypotheses[i].alive != 0.0 and (best < 0 or hypotheses[i].weight > hypotheses[best].weight):
             best = i
     return best
 
 
 @compiled
 def _birth(
-    z: Array,
-    p: Array,
-    records: Array,
-    kind: int,
-    log_prior: float,
-    watched: int,
-    rate: int,
-    variance: float,
-    rate_variance: float,
+    b: BankArrays, kind: int, log_prior: float, watched: int, rate: int, variance: float, rate_variance: float
 ) -> None:
     """Add a child of the best hypothesis, with these variances added to the watched parameter and set for its rate."""
-    parent = _best(records)
-    i = _free_place(records)
+    z, p, hypotheses = b.z, b.p, b.hypotheses
+    parent = _best(hypotheses)
+    i = _free_place(hypotheses)
     if i < 0 or i == parent:
         return
     size = z.shape[0]
@@ -102,62 +127,57 @@ def _birth(
         p[j, rate, i] = 0.0
     p[watched, watched, i] += variance
     p[rate, rate, i] = rate_variance
-    records[i, WEIGHT] = records[parent, WEIGHT] + log_prior
-    records[i, _KIND] = kind
-    records[i, _AGE] = 0.0
-    records[i, ALIVE] = 1.0
+    hypotheses[i].weight = hypotheses[parent].weight + log_prior
+    hypotheses[i].kind = kind
+    hypotheses[i].age = 0.0
+    hypotheses[i].alive = 1.0
 
 
 @compiled
-def births(z: Array, p: Array, records: Array, settings: Array, watched: int, rate: int) -> None:
+def give_birth(b: BankArrays, watched: int, rate: int) -> None:
     """Add the children of this cycle; `watched` and `rate` are indices in the filters' state."""
-    cycle = int(settings[CYCLE])
+    births = b.births
+    cycle = int(births.cycle)
     if cycle % _EVERY[_JUMP] == 0:
         size = _SMALL_JUMP if cycle // _EVERY[_JUMP] % 2 else 1.0
-        _birth(z, p, records, _JUMP, settings[LOG_JUMP], watched, rate, settings[JUMP_VARIANCE] * size * size, 0.0)
+        _birth(b, _JUMP, births.log_jump, watched, rate, births.jump_variance * size * size, 0.0)
     if cycle % _EVERY[_DRIFT] == 0:
-        _birth(z, p, records, _DRIFT, settings[LOG_DRIFT], watched, rate, 0.0, settings[DRIFT_VARIANCE])
+        _birth(b, _DRIFT, births.log_drift, watched, rate, 0.0, births.drift_variance)
     if cycle % _EVERY[_END] == _EVERY[_END] // 2:
-        best = _best(records)
-        if p[rate, rate, best] > 0.0:
-            _birth(z, p, records, _END, settings[LOG_DRIFT], watched, rate, 0.0, 0.0)
+        best = _best(b.hypotheses)
+        if b.p[rate, rate, best] > 0.0:
+            _birth(b, _END, births.log_drift, watched, rate, 0.0, 0.0)
 
 
 @compiled
-def reweight(records: Array, likelihoods: Array) -> None:
-    """Add the log likelihoods (H,) of this cycle to the weights."""
-    for i in range(records.shape[0]):
-        if records[i, ALIVE] != 0.0:
-            records[i, WEIGHT] += likelihoods[i]
-
-
-@compiled
-def compare(records: Array, shares: Array) -> None:
-    """Age the hypotheses, normalize weights to the best and drop hopeless ones. Shares (H,) returns the probabilities,
-    0 of dropped ones."""
-    best_weight = -1e300
-    for i in range(records.shape[0]):
-        if records[i, ALIVE] != 0.0:
-            records[i, _AGE] += 1.0
-            best_weight = max(best_weight, records[i, WEIGHT])
+def compare(b: BankArrays) -> None:
+    """Weigh the hypotheses by this cycle's likelihoods, age them, normalize weights to the best, drop hopeless ones;
+    mix the others."""
+    hypotheses, shares, best_weight = b.hypotheses, b.shares, -1e300
+    for i in range(len(hypotheses)):
+        if hypotheses[i].alive != 0.0:
+            hypotheses[i].weight += b.likelihoods[i]
+            hypotheses[i].age += 1.0
+            best_weight = max(best_weight, hypotheses[i].weight)
     total = 0.0
-    for i in range(records.shape[0]):
+    for i in range(len(hypotheses)):
         shares[i] = 0.0
-        if records[i, ALIVE] != 0.0:
-            records[i, WEIGHT] -= best_weight
-            if records[i, WEIGHT] < -_HOPELESS and records[i, _AGE] >= _PROTECTED[int(records[i, _KIND])]:
-                records[i, ALIVE] = 0.0
+        if hypotheses[i].alive != 0.0:
+            hypotheses[i].weight -= best_weight
+            if hypotheses[i].weight < -_HOPELESS and hypotheses[i].age >= _PROTECTED[hypotheses[i].kind]:
+                hypotheses[i].alive = 0.0
             else:
-                shares[i] = exp(records[i, WEIGHT])
+                shares[i] = exp(hypotheses[i].weight)
                 total += shares[i]
-    for i in range(records.shape[0]):
+    for i in range(len(hypotheses)):
         shares[i] /= total
+    _mix(b.z, b.p, shares, b.places, b.out)
 
 
 @compiled
-def covariance(z: Array, p: Array, shares: Array, mean: Array, out: Array) -> None:
-    """Covariance (n, n) of the mixture about its mean into `out`; shares as of `compare`."""
-    size = z.shape[0]
+def covariance(b: BankArrays, out: Array) -> None:
+    """Covariance (n, n) of the mixture about its mean into `out`, after `compare`."""
+    z, p, shares, mean, size = b.z, b.p, b.shares, b.out[0], b.z.shape[0]
     out[:] = 0.0
     for i in range(len(shares)):
         if shares[i] != 0.0:
@@ -167,9 +187,8 @@ def covariance(z: Array, p: Array, shares: Array, mean: Array, out: Array) -> No
 
 
 @compiled
-def mix(z: Array, p: Array, shares: Array, places: Places, out: Array) -> None:
-    """Means and standard deviations of the mixture into the first two rows of `out`; shares as of `compare`, places:
-    indices of the filters' states."""
+def _mix(z: Array, p: Array, shares: Array, places: Places, out: Array) -> None:
+    """Means and standard deviations of the mixture into the first two rows of `out`."""
     for m in range(len(places)):
         j, mean, variance = places[m], 0.0, 0.0
         for i in range(len(shares)):

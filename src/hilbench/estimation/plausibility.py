@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from math import isfinite
+from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined
-from hilbench.estimation.bank import Array
+from hilbench.compiled import REAL, VECTOR, Record, Vector, compiled, entry_point, inlined, record_type, viewed
 from hilbench.estimation.problems import PROBLEMS, Problem
 
 #: Cycles with exactly the same torque after which a noisy measurement counts as frozen.
@@ -21,68 +21,67 @@ SLACK = 0.02
 STANDSTILL_M_S = 1e-3
 
 
-# State. Torque limit, in N·m; cycles until it counts as free; speed below which the roller is at rest; pull_per_Pa up
-# to which the web is slack.
-_LIMIT_NM, _FREE_CYCLES, _LIMITED, _STANDSTILL_M_S, _SLACK_PER_PA, _LAST_NM, _SAME, _HAS_CHANGED = range(8)
-_SIZE = 8
+#: State: torque limit; cycles until it counts as free, and those left; speed below which the roller is at rest;
+#: pull_per_Pa up to which the web is slack; last torque, and for how many cycles it has been the same.
+PLAUSIBILITY: Final = record_type(
+    *("limit_Nm", "free_cycles", "limited", "standstill_m_s", "slack_per_Pa", "last_Nm", "same", "has_changed")
+)
 _INVALID, _FROZEN, _SATURATED_NOW = int(Problem.INVALID), int(Problem.FROZEN), int(Problem.SATURATED)
 _SLACK_NOW, _STANDING = int(Problem.SLACK), int(Problem.STANDSTILL)
 
 
 @compiled
-def find_problem(s: Array, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> int:
+def find_problem(s: Record, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> int:
     """`Problem` of this cycle's torque; 0: none. s: state of a `Plausibility`."""
     if not (isfinite(torque_Nm) and isfinite(pull_per_Pa) and isfinite(velocity_m_s)):
         return _INVALID
-    if torque_Nm == s[_LAST_NM]:
-        s[_SAME] += 1.0
+    if torque_Nm == s.last_Nm:
+        s.same += 1.0
     else:
-        if isfinite(s[_LAST_NM]):
-            s[_HAS_CHANGED] = 1.0
-        s[_SAME] = 0.0
-    s[_LAST_NM] = torque_Nm
+        if isfinite(s.last_Nm):
+            s.has_changed = 1.0
+        s.same = 0.0
+    s.last_Nm = torque_Nm
     # A saturated torque repeats itself too.
     if _is_limited(s, abs(torque_Nm)):
         return _SATURATED_NOW
     # A noiseless simulation at rest does as well, but it has not moved before.
-    if s[_SAME] >= _FROZEN_CYCLES and s[_HAS_CHANGED] != 0.0:
+    if s.same >= _FROZEN_CYCLES and s.has_changed != 0.0:
         return _FROZEN
-    if pull_per_Pa <= s[_SLACK_PER_PA]:
+    if pull_per_Pa <= s.slack_per_Pa:
         return _SLACK_NOW
-    if abs(velocity_m_s) < s[_STANDSTILL_M_S]:
+    if abs(velocity_m_s) < s.standstill_m_s:
         return _STANDING
     return 0
 
 
 @inlined
-def _is_limited(s: Array, size_Nm: float) -> bool:
-    limit_Nm = s[_LIMIT_NM]
-    if size_Nm >= _SATURATED * limit_Nm or (s[_LIMITED] != 0.0 and size_Nm >= _FREE * limit_Nm):
-        s[_LIMITED] = s[_FREE_CYCLES]
-    elif s[_LIMITED] != 0.0:
-        s[_LIMITED] -= 1.0
-    return bool(s[_LIMITED] > 0.0)
+def _is_limited(s: Record, size_Nm: float) -> bool:
+    limit_Nm = s.limit_Nm
+    if size_Nm >= _SATURATED * limit_Nm or (s.limited != 0.0 and size_Nm >= _FREE * limit_Nm):
+        s.limited = s.free_cycles
+    elif s.limited != 0.0:
+        s.limited -= 1.0
+    return bool(s.limited > 0.0)
 
 
 @entry_point(VECTOR, REAL, REAL, REAL)
-def _look(s: Array, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> int:
-    return find_problem(s, torque_Nm, pull_per_Pa, velocity_m_s)
+def _look(state: Vector, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> int:
+    return find_problem(viewed(state, PLAUSIBILITY)[0], torque_Nm, pull_per_Pa, velocity_m_s)
 
 
 class Plausibility:
     """Plausibility check of each cycle's measurement of axis 2; `torque_limit_Nm` and `dry_friction_N` of the model."""
 
     def __init__(self, torque_limit_Nm: float, dry_friction_N: float, slack_per_Pa: float, cycle_s: float) -> None:
-        self.state = np.zeros(_SIZE)
-        self.state[_LIMIT_NM], self.state[_FREE_CYCLES] = torque_limit_Nm, round(_FREE_S / cycle_s)
-        self.state[_STANDSTILL_M_S] = STANDSTILL_M_S if dry_friction_N > 0.0 else 0.0
-        self.state[_SLACK_PER_PA] = SLACK * slack_per_Pa
-        self.state[_LAST_NM] = np.nan
+        standstill_m_s = STANDSTILL_M_S if dry_friction_N > 0.0 else 0.0
+        figures = torque_limit_Nm, round(_FREE_S / cycle_s), 0.0, standstill_m_s, SLACK * slack_per_Pa
+        self.state = np.array([(*figures, np.nan, 0.0, 0.0)], PLAUSIBILITY)  #: for compiled callers
 
     def sticks(self, below_m_s: float) -> None:
         """Set a speed below which dry friction takes up the tension, whatever the model's friction."""
-        self.state[_STANDSTILL_M_S] = below_m_s
+        self.state["standstill_m_s"] = below_m_s
 
     def problem(self, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> Problem | None:
         """Problem of this cycle's torque, if there is one."""
-        return PROBLEMS[_look(self.state, torque_Nm, pull_per_Pa, velocity_m_s)]
+        return PROBLEMS[_look(self.state.view(np.float64), torque_Nm, pull_per_Pa, velocity_m_s)]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, exp, inf, isnan, nan, sin, sqrt
-from typing import NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -16,10 +15,11 @@ from hilbench.compiled import (
     REAL,
     TABLE,
     VECTOR,
+    Reals,
+    Reals2,
+    arrays_in,
     compiled,
     entry_point,
-    floats,
-    merged,
     table_of,
 )
 from hilbench.estimation import noise_level
@@ -89,41 +89,37 @@ class ShaftSample:
     ripple_Nm: float = 0.0
 
 
-class InputVectors(NamedTuple):
-    """Vectors of `FilterInputs`, for compiled callers."""
+_STATE: Final = np.dtype(
+    [
+        ("followed", "f8"),  # cycles of followed motion; -1: none
+        ("missing", "f8"),  # cycles without a sample since the last one
+        ("odd", "f8"),  # samples in a row with an unexpected number of cycles since the previous one
+        ("sticking", "f8"),  # 1: dry friction may be anything
+        ("before_Nm", "f8"),  # torque of the last sample; NaN: none
+        ("lost", "f8"),  # true if the inertia filters have lost the motion
+        ("cycle_s", "f8"),
+        ("noise_gain", "f8"),  # noise of the filter's acceleration by that of the position
+        ("gear_ratio", "f8"),
+        ("breakaway_Nm", "f8"),
+        ("unforeseen_rad_s2", "f8"),  # recently unpredicted acceleration,
+        ("unforeseen_gain", "f8"),  # and its gain from a position error
+        ("slow", "f8"),  # cycles at low speed
+    ]
+)
 
-    p: Array  #: parameters of the shaft
-    s: Array  #: state and figures
-    u: Array  #: inputs of the filters
-    torque: Array  #: state of the noise level of the torque,
-    position: Array  #: and of the position
-    motion: Array  #: of the filter for the shaft's speed and acceleration
-    forward: Array  #: (4, 4): `transition` over a cycle
-    gain: Array  #: (4,): `gains` of a cycle
-    back: Array  #: (4, 4): `transition` over half a cycle, back
 
+class InputArrays(NamedTuple):
+    """Arrays of `FilterInputs`, for compiled callers."""
 
-# State: cycles of followed motion (-1: none); cycles without a sample since the last one; samples in a row with an
-# unexpected number of cycles since the previous one; 1: dry friction may be anything; torque of the last sample (NaN:
-# none); true if the inertia filters have lost the motion. Figures: cycle time; noise of the filter's acceleration by
-# that of the position; gear ratio; breakaway friction; recently unpredicted acceleration, and its gain from a position
-# error.
-(
-    FOLLOWED,
-    _MISSING,
-    _ODD,
-    _STICKING,
-    _BEFORE_NM,
-    LOST,
-    CYCLE_S,
-    _NOISE_GAIN,
-    _GEAR_RATIO,
-    _BREAKAWAY_NM,
-    _UNFORESEEN_RAD_S2,
-    _UNFORESEEN_GAIN,
-    _SLOW,
-) = range(13)
-_SIZE = 13
+    p: Reals  #: parameters of the shaft
+    s: Annotated[Any, _STATE]
+    u: Annotated[Any, kalman.INPUTS]
+    torque: Reals  #: state of the noise level of the torque,
+    position: Reals  #: and of the position
+    motion: Reals  #: of the filter for the shaft's speed and acceleration
+    forward: Reals2  #: (4, 4): `transition` over a cycle
+    gain: Reals  #: (4,): `gains` of a cycle
+    back: Reals2  #: (4, 4): `transition` over half a cycle, back
 
 
 @compiled
@@ -144,15 +140,15 @@ def _slack_rad(position: Array, cycles: int) -> float:
 
 
 @compiled
-def _excites(v: InputVectors, acceleration_rad_s2: float) -> bool:
+def _excites(v: InputArrays, acceleration_rad_s2: float) -> bool:
     """True if the torque for this acceleration exceeds that of noise, ripple and unbalance."""
-    accelerating_Nm = abs(acceleration_rad_s2) * v.u[kalman.INERTIA_KG_M2]
+    accelerating_Nm = abs(acceleration_rad_s2) * v.u.inertia_kg_m2
     return bool(accelerating_Nm > _EXCITED * sqrt(noise_level.variance(v.torque)))
 
 
 @compiled
 def _take_quality(
-    v: InputVectors, position_rad: float, torque_Nm: float, off_rad: float, duration_s: float, next_cycle: bool
+    v: InputArrays, position_rad: float, torque_Nm: float, off_rad: float, duration_s: float, next_cycle: bool
 ) -> None:
     """Update noise levels and the unpredicted acceleration from the position error `off_rad` of a sample `duration_s`
     after the previous one; `next_cycle`: that was in the previous cycle."""
@@ -167,16 +163,16 @@ def _take_quality(
         noise_level.take(v.position, position_rad)
     else:
         noise_level.interrupt(v.position)
-    s[_UNFORESEEN_RAD_S2] *= exp(-duration_s / _FORESEEN_AGAIN_S)
-    unforeseen = s[_UNFORESEEN_GAIN] * abs(off_rad)
+    s.unforeseen_rad_s2 *= exp(-duration_s / _FORESEEN_AGAIN_S)
+    unforeseen = s.unforeseen_gain * abs(off_rad)
     noisy = abs(off_rad) <= _SIGNIFICANT * sqrt(noise_level.variance(v.position))
     if not noisy and unforeseen > _FORESEEN * abs(v.motion[_ACCELERATION]):
-        s[_UNFORESEEN_RAD_S2] = max(s[_UNFORESEEN_RAD_S2], unforeseen)
+        s.unforeseen_rad_s2 = max(s.unforeseen_rad_s2, unforeseen)
 
 
 @compiled
 def _fill(
-    v: InputVectors,
+    v: InputArrays,
     back: Array,
     before_Nm: float,
     position_rad: float,
@@ -189,80 +185,61 @@ def _fill(
     torque."""
     s, u, variance = v.s, v.u, noise_level.variance(v.position)
     x, speed, a = later(v.motion, back, 0), later(v.motion, back, 1), later(v.motion, back, 2)
-    significant = abs(a) > _SIGNIFICANT * s[_NOISE_GAIN] * sqrt(variance)
+    significant = abs(a) > _SIGNIFICANT * s.noise_gain * sqrt(variance)
     direction = min(max(speed / _STANDSTILL_RAD_S, -1.0), 1.0)
-    s[_STICKING] = max(s[_STICKING] * exp(-duration_s / _AFTER_STANDSTILL_S), 1.0 - direction * direction)
+    s.sticking = max(s.sticking * exp(-duration_s / _AFTER_STANDSTILL_S), 1.0 - direction * direction)
     slow = max(1.0 - (speed / _LOW_SPEED_RAD_S) ** 2, 0.0)
-    s[_SLOW] = s[_SLOW] + 1.0 if slow > 0.0 else 0.0
-    phi = x / s[_GEAR_RATIO]
+    s.slow = s.slow + 1.0 if slow > 0.0 else 0.0
+    phi = x / s.gear_ratio
     torque, between_Nm = 0.5 * (before_Nm + torque_Nm), 0.0
     if next_cycle:
         torque += ripple_Nm
     else:  # the torque in between is unknown but for its end values
         between_Nm = abs(torque_Nm - before_Nm) + abs(ripple_Nm)
-    shaking_Nm = _SHAKING * u[kalman.INERTIA_KG_M2] * a
-    unforeseen_Nm = u[kalman.INERTIA_KG_M2] * s[_UNFORESEEN_RAD_S2]
-    u[kalman.DURATION_S] = duration_s
-    u[kalman.TORQUE_NM] = _known_torque_Nm(v.p, torque, x, speed)
-    u[kalman.ACCELERATION_RAD_S2] = a if significant and _excites(v, a) else 0.0
-    u[kalman.TORQUE_VARIANCE] = (
+    shaking_Nm = _SHAKING * u.inertia_kg_m2 * a
+    unforeseen_Nm = u.inertia_kg_m2 * s.unforeseen_rad_s2
+    u.duration_s = duration_s
+    u.torque_Nm = _known_torque_Nm(v.p, torque, x, speed)
+    u.acceleration_rad_s2 = a if significant and _excites(v, a) else 0.0
+    u.torque_variance = (
         noise_level.variance(v.torque)
         + between_Nm * between_Nm
         + shaking_Nm * shaking_Nm
         + unforeseen_Nm * unforeseen_Nm
         # Friction error is no white noise: the impulse of a constant over n cycles has n² times the variance of one
         # cycle, so that of the last one is 2n times. However long a shaft is at rest, it shows no offset.
-        + s[_BREAKAWAY_NM] * s[_BREAKAWAY_NM] * (s[_STICKING] + 2.0 * slow * s[_SLOW])
+        + s.breakaway_Nm * s.breakaway_Nm * (s.sticking + 2.0 * slow * s.slow)
     )
-    u[kalman.POSITION_RAD] = position_rad
-    u[kalman.POSITION_VARIANCE] = variance
-    at = kalman.REGRESSORS
-    u[at], u[at + 1], u[at + 2], u[at + 3], u[at + 4] = 1.0, speed, direction, -sin(phi), -cos(phi)
+    u.position_rad = position_rad
+    u.position_variance = variance
+    of = u.regressors
+    of[0], of[1], of[2], of[3], of[4] = 1.0, speed, direction, -sin(phi), -cos(phi)
 
 
 @compiled
-def take_next(v: InputVectors, position_rad: float, torque_Nm: float, ripple_Nm: float) -> bool:
+def take_next(v: InputArrays, position_rad: float, torque_Nm: float, ripple_Nm: float) -> bool:
     """`FilterInputs.update` of a sample that is the next of a motion that is well known, one cycle after the last;
     False, and nothing done, where it is not."""
     s = v.s
-    if s[LOST] != 0.0 or s[FOLLOWED] < _SETTLED_CYCLES or s[_MISSING] != 0.0 or isnan(s[_BEFORE_NM]):
+    if s.lost != 0.0 or s.followed < _SETTLED_CYCLES or s.missing != 0.0 or isnan(s.before_Nm):
         return False
     # Not <=: NaN has to fail.
     off_rad = position_rad - later(v.motion, v.forward, 0)
     if not abs(off_rad) <= _slack_rad(v.position, 1):
         return False
-    before_Nm, s[_BEFORE_NM], s[_ODD] = s[_BEFORE_NM], torque_Nm, 0.0
-    _take_quality(v, position_rad, torque_Nm, off_rad, s[CYCLE_S], True)
-    s[FOLLOWED] += 1.0
+    before_Nm, s.before_Nm, s.odd = s.before_Nm, torque_Nm, 0.0
+    _take_quality(v, position_rad, torque_Nm, off_rad, s.cycle_s, True)
+    s.followed += 1.0
     follow(v.motion, v.forward, v.gain, position_rad)
-    _fill(v, v.back, before_Nm, position_rad, torque_Nm, ripple_Nm, s[CYCLE_S], True)
+    _fill(v, v.back, before_Nm, position_rad, torque_Nm, ripple_Nm, s.cycle_s, True)
     return True
-
-
-@merged
-def of_table(table: Places, first: int) -> InputVectors:
-    """Vectors in a `table_of` them from this row on."""
-    return InputVectors(
-        floats(table, first, (1,)),
-        floats(table, first + 1, (1,)),
-        floats(table, first + 2, (1,)),
-        floats(table, first + 3, (1,)),
-        floats(table, first + 4, (1,)),
-        floats(table, first + 5, (1,)),
-        floats(table, first + 6, (1, 2)),
-        floats(table, first + 7, (1,)),
-        floats(table, first + 8, (1, 2)),
-    )
-
-
-Fill = Callable[[Places, Array, float, float, float, float, float, bool], None]
 
 
 @entry_point(TABLE, REAL, REAL, REAL, REAL, FLAG)
 def _take_quality_of(
     table: Places, position_rad: float, torque_Nm: float, off_rad: float, duration_s: float, next_cycle: bool
 ) -> None:
-    _take_quality(of_table(table, 0), position_rad, torque_Nm, off_rad, duration_s, next_cycle)
+    _take_quality(arrays_in(table, InputArrays), position_rad, torque_Nm, off_rad, duration_s, next_cycle)
 
 
 @entry_point(TABLE, MATRIX, REAL, REAL, REAL, REAL, REAL, FLAG)
@@ -276,8 +253,7 @@ def _fill_from(
     duration_s: float,
     next_cycle: bool,
 ) -> None:
-    v = of_table(table, 0)
-    _fill(v, back, before_Nm, position_rad, torque_Nm, ripple_Nm, duration_s, next_cycle)
+    _fill(arrays_in(table, InputArrays), back, before_Nm, position_rad, torque_Nm, ripple_Nm, duration_s, next_cycle)
 
 
 @entry_point(VECTOR, COUNT)
@@ -292,9 +268,10 @@ class FilterInputs:
         also = config.also
         self._p = lay.pack(model)
         factor, breakaway_Nm, _ = look(self._p, 0.0)
-        self._state = np.zeros(_SIZE)
-        self._state[_BREAKAWAY_NM] = breakaway_Nm + also.coulomb_friction_Nm
-        self._state[_GEAR_RATIO] = model.shaft.gear_ratio
+        state, inputs = np.zeros(1, _STATE), np.zeros(1, kalman.INPUTS)
+        self._state, self.u = state[0], inputs[0]
+        self._state["breakaway_Nm"] = breakaway_Nm + also.coulomb_friction_Nm
+        self._state["gear_ratio"] = model.shaft.gear_ratio
         self.inertia_kg_m2 = model.inertia_kg_m2 * factor  #: J0
         self.priors = np.array(
             [
@@ -305,15 +282,13 @@ class FilterInputs:
                 also.unbalance_Nm,
             ]
         )
-        self.u = np.zeros(kalman.INPUTS)
-        self.u[kalman.INERTIA_KG_M2] = self.inertia_kg_m2
-        self.u[kalman.BETA_VARIANCE_PER_S] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
-        self.u[kalman.BETA_BOUND] = (0.01 * config.jump_pct) ** 2
+        self.u["inertia_kg_m2"] = self.inertia_kg_m2
+        self.u["beta_variance_per_s"] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
+        self.u["beta_bound"] = (0.01 * config.jump_pct) ** 2
         # Without an end an accepted drift goes on through all holds, and grows with all that is not white noise.
-        self.u[kalman.DRIFT_S] = config.jump_pct / config.drift_pct_per_s
-        self.u[kalman.MEMORIES_S : kalman.PRIORS] = config.friction_memory_s
-        self.u[kalman.MEMORIES_S] = config.offset_memory_s
-        self.u[kalman.PRIORS :] = self.priors
+        self.u["drift_s"] = config.jump_pct / config.drift_pct_per_s
+        self.u["memories_s"] = config.offset_memory_s, *[config.friction_memory_s] * (kalman.TERMS - 1)
+        self.u["priors"] = self.priors
         self._torque = NoiseLevel(config.torque_noise_Nm, _TORQUE_FLOOR_NM)
         self._position = NoiseLevel(_POSITION_NOISE_RAD, _POSITION_FLOOR_RAD)
         self._motion = TrackingFilter(0.0)
@@ -321,43 +296,44 @@ class FilterInputs:
         self.in_doubt = False  #: True if the last sample may be of another time than assumed
         largest_Nm = per_item(model.drives.torque_limit_Nm, 1) if model.drives else inf
         self._largest_change_rad_s2 = _TORQUE_CHANGE * largest_Nm / self.inertia_kg_m2
-        self._state[FOLLOWED] = -1.0
-        self._state[_BEFORE_NM] = nan
-        self._state[LOST] = 1.0
+        self._state["followed"] = -1.0
+        self._state["before_Nm"] = nan
+        self._state["lost"] = 1.0
+        self._of_cycle = state, inputs
         self._gather()
 
     def _gather(self) -> None:
-        """Collect the current vectors and the table of their addresses."""
+        """Collect the current arrays and the table of their addresses."""
         noise = self._torque.state, self._position.state
         of_a_cycle = self._forward, self._gain, self._back
-        self.vectors = InputVectors(self._p, self._state, self.u, *noise, self._motion.motion, *of_a_cycle)
-        self._table = table_of(self.vectors)
+        self.arrays = InputArrays(self._p, *self._of_cycle, *noise, self._motion.motion, *of_a_cycle)
+        self._table = table_of(self.arrays)
 
     @property
     def speed_rad_s(self) -> float:
         """Speed of the last cycle."""
-        return self.u.item(kalman.REGRESSORS + 1)
+        return float(self.u["regressors"][1])
 
     @property
     def duration_s(self) -> float:
         """Time from the previous sample to the last."""
-        return self.u.item(kalman.DURATION_S)
+        return float(self.u["duration_s"])
 
     @property
     def lost(self) -> bool:
         """True while the motion is being initialized anew."""
-        return self._state.item(FOLLOWED) < _SETTLED_CYCLES
+        return float(self._state["followed"]) < _SETTLED_CYCLES
 
     def interrupt(self) -> None:
         """Form no mean across the next gap; initialize the motion anew."""
         s = self._state
-        s[_BEFORE_NM], s[FOLLOWED], s[_MISSING], s[_ODD] = nan, -1.0, 0.0, 0.0
+        s["before_Nm"], s["followed"], s["missing"], s["odd"] = nan, -1.0, 0.0, 0.0
         self._position.interrupt()
 
     def miss(self) -> None:
         """Count a missing cycle; too many of them are an interruption."""
-        self._state[_MISSING] += 1.0
-        if self._state[_MISSING] > _LONGEST_GAP_CYCLES:
+        self._state["missing"] += 1.0
+        if self._state["missing"] > _LONGEST_GAP_CYCLES:
             self.interrupt()
 
     def update(self, sample: ShaftSample) -> bool:
@@ -365,10 +341,10 @@ class FilterInputs:
         cycles, s = self._cycles_elapsed(sample), self._state
         if cycles == 0:
             return False
-        duration_s, s[_MISSING] = cycles * sample.cycle_s, 0.0
-        before_Nm, s[_BEFORE_NM] = s.item(_BEFORE_NM), sample.torque_Nm
+        duration_s, s["missing"] = cycles * sample.cycle_s, 0.0
+        before_Nm, s["before_Nm"] = float(s["before_Nm"]), sample.torque_Nm
         measured = sample.position_rad, sample.torque_Nm
-        off_rad = sample.position_rad - self._motion.predicted(duration_s).item(0) if s[FOLLOWED] >= 1.0 else 0.0
+        off_rad = sample.position_rad - self._motion.predicted(duration_s).item(0) if s["followed"] >= 1.0 else 0.0
         _take_quality_of(self._table, *measured, off_rad, duration_s, cycles == 1)
         self._follow(sample.position_rad, sample.cycle_s, duration_s)
         if isnan(before_Nm) or self.lost:
@@ -380,16 +356,16 @@ class FilterInputs:
     def _find_anew(self, position_rad: float, cycle_s: float) -> None:
         """Initialize the motion here."""
         s = self._state
-        if s[CYCLE_S] != cycle_s:
+        if s["cycle_s"] != cycle_s:
             filter_s = _FILTER_CYCLES * cycle_s
             self._motion = TrackingFilter(filter_s)
             self._forward[:], self._back[:] = transition(cycle_s), transition(-0.5 * cycle_s)
             self._gain[:] = gains(cycle_s, filter_s)
-            s[CYCLE_S], s[_NOISE_GAIN] = cycle_s, _acceleration_gain(cycle_s, filter_s)
-            s[_UNFORESEEN_GAIN] = 4.0 / filter_s**2
+            s["cycle_s"], s["noise_gain"] = cycle_s, _acceleration_gain(cycle_s, filter_s)
+            s["unforeseen_gain"] = 4.0 / filter_s**2
             self._gather()
         self._motion.reset(position_rad)
-        s[FOLLOWED] = 0.0
+        s["followed"] = 0.0
 
     def _cycles_elapsed(self, sample: ShaftSample) -> int:
         """Cycles since the previous sample, by the motion; no frame shows a SYNC that was lost or sent late.
@@ -399,20 +375,20 @@ class FilterInputs:
         `in_doubt`.
         """
         s = self._state
-        expected, self.in_doubt = 1 + int(s.item(_MISSING)), False
-        if s[FOLLOWED] < 1.0:
+        expected, self.in_doubt = 1 + int(float(s["missing"])), False
+        if s["followed"] < 1.0:
             return expected
         if self._off_rad(sample, expected) <= _slack(self._position.state, expected):
-            s[_ODD] = 0.0
+            s["odd"] = 0.0
             return expected
         found, travel_per_cycle = expected, abs(self._motion.motion.item(1)) * sample.cycle_s
         is_telling = travel_per_cycle > 2.0 * self._accelerated_rad(sample, 1)
         if is_telling:
             found = min(range(expected + _MORE_CYCLES + 1), key=lambda n: self._off_rad(sample, n))
         off_rad = self._off_rad(sample, found)
-        s[_ODD] = s[_ODD] + 1.0 if found != expected else 0.0
+        s["odd"] = s["odd"] + 1.0 if found != expected else 0.0
         between = is_telling and off_rad > _BETWEEN * travel_per_cycle
-        if between or off_rad > self._accelerated_rad(sample, found) or s[_ODD] > _MOST_ODD:
+        if between or off_rad > self._accelerated_rad(sample, found) or s["odd"] > _MOST_ODD:
             self.interrupt()
             return 1
         self.in_doubt = not is_telling
@@ -429,11 +405,11 @@ class FilterInputs:
     def _follow(self, position_rad: float, cycle_s: float, duration_s: float) -> None:
         """Update position, speed and acceleration by a sample, `duration_s` after the previous one."""
         s = self._state
-        if s[FOLLOWED] < 0.0:
+        if s["followed"] < 0.0:
             self._find_anew(position_rad, cycle_s)
             return
-        s[FOLLOWED] += 1.0
-        if s[FOLLOWED] == 1.0:  # two positions are a speed
+        s["followed"] += 1.0
+        if s["followed"] == 1.0:  # two positions are a speed
             speed = (position_rad - self._motion.motion.item(0)) / duration_s
             self._motion.reset(position_rad, speed)
         else:

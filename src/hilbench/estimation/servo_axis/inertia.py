@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 from math import expm1, hypot, log, sqrt
-from typing import Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hilbench.compiled import REAL, TABLE, VECTOR, compiled, entry_point, floats, integers, merged, table_of
+from hilbench.compiled import COUNT, REAL, TABLE, arrays_in, compiled, entry_point, record_type, table_of
 from hilbench.estimation import bank
-from hilbench.estimation.bank import Array, Places
+from hilbench.estimation.bank import Array, BankArrays, Places
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.servo_axis import balance, kalman
-from hilbench.estimation.servo_axis.balance import LOST, FilterInputs, InputVectors, ShaftSample
+from hilbench.estimation.servo_axis.balance import FilterInputs, InputArrays, ShaftSample
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
@@ -33,22 +35,8 @@ _FOUND = 0.7
 _LEAST_BETA = 0.01
 
 
-class BankVectors(NamedTuple):
-    """Vectors of the bank, for compiled callers: means and covariances of the filters, records, settings, indices of
-    all states, scratch, means and standard deviations of the mixture, figures."""
-
-    z: Array
-    p: Array
-    records: Array
-    settings: Array
-    places: Places
-    work: Array
-    out: Array
-    figures: Array
-
-
-#: Time without information on the inertia, after the settings of the bank; most jumps expected by then.
-_QUIET_S, _LONGEST_QUIET = bank.SETTINGS, 20.0
+#: Most jumps expected by the end of a time without information on the inertia.
+_LONGEST_QUIET = 20.0
 #: Share outside an interval of 95 %: a less probable jump in quiet time does not widen it.
 _LEFT_OUT = 0.05
 #: Standard deviations of the mixture by which the stated value may differ from its mean, once it is separable; one
@@ -56,122 +44,115 @@ _LEFT_OUT = 0.05
 _CAUTION = 0.3
 #: Number of the cycle after which the bank's next is that of a large jump.
 _BEFORE_LARGE_JUMP = 3.0
-#: Figures: priors of a birth for a cycle; lasting error of the inertia, and the share from which on it is separable;
-#: rate of its jumps; then the prior deviations of the nuisance parameters, and the model's values.
-_LOG_JUMP, _LOG_DRIFT, _UNMODELLED, _SEPARABLE, _JUMPS_PER_S, PRIORS = range(6)
-OF_MODEL: Final = PRIORS + kalman.TERMS
-#: Stated values (7,): inertia and its deviation, separable flag; viscous and dry friction, including the model's, and
-#: their deviations, 0 where they are not estimated.
-INERTIA, DEVIATION, SEPARABLE, VISCOUS, COULOMB, VISCOUS_SD, COULOMB_SD = range(7)
-#: Rows of a table of an estimator: those of its inputs, then those of the bank.
-_BANK_ROW: Final = len(InputVectors._fields)
-ROWS: Final = _BANK_ROW + len(BankVectors._fields)
+FIGURES: Final = np.dtype(
+    [
+        ("log_jump", "f8"),  # priors of a birth for a cycle
+        ("log_drift", "f8"),
+        ("unmodelled", "f8"),  # lasting error of the inertia
+        ("separable", "f8"),  # share from which on it is separable
+        ("jumps_per_s", "f8"),
+        ("of_model", "f8", (kalman.TERMS,)),  # the model's values of the nuisance parameters
+    ]
+)
+#: Stated values: inertia and its deviation, separable flag; viscous and dry friction, including the model's, and their
+#: deviations, 0 where they are not estimated.
+STATED: Final = record_type(
+    *("inertia_kg_m2", "deviation_kg_m2", "separable", "viscous", "coulomb", "viscous_sd", "coulomb_sd")
+)
+
+
+class InertiaArrays(NamedTuple):
+    """Arrays of an `InertiaEstimator`, for compiled callers."""
+
+    inputs: InputArrays
+    bank: BankArrays
+    figures: Annotated[Any, FIGURES]
+    stated: Annotated[Any, STATED]
 
 
 @compiled
-def _step(v: BankVectors, u: Array) -> bool:
+def _step(v: InertiaArrays) -> bool:
     """Step all hypotheses by one cycle; False if the estimate is invalid.
 
     In quiet time, without acceleration, none is born or compared. The possible change by then is one jump, the more
     probable the longer it has been quiet: part of the stated deviation, and the first birth after it.
     """
-    size, work = v.z.shape[0], v.work
-    rows, g, likelihoods, shares = work[: size + 3], work[size + 5 :], work[size + 3], work[size + 4]
-    excited, was_quiet = u[kalman.ACCELERATION_RAD_S2] != 0.0, v.settings[_QUIET_S] > 0.0
+    b, births, u = v.bank, v.bank.births, v.inputs.u
+    excited, was_quiet = u.acceleration_rad_s2 != 0.0, births.quiet_s > 0.0
     if excited and was_quiet:
-        v.settings[bank.LOG_JUMP] = max(log(_jump_odds(v)), v.settings[bank.LOG_JUMP])
-        bank.births(v.z, v.p, v.records, v.settings, kalman.BETA, kalman.RATE)
-        v.settings[_QUIET_S] = 0.0
-    kalman.step(v.z, v.p, u, v.places, g, rows, likelihoods)
-    bank.reweight(v.records, likelihoods)
-    bank.compare(v.records, shares)
-    bank.mix(v.z, v.p, shares, v.places, v.out)
+        births.log_jump = max(log(_jump_odds(v)), births.log_jump)
+        bank.give_birth(b, kalman.BETA, kalman.RATE)
+        births.quiet_s = 0.0
+    kalman.step(b, u)
+    bank.compare(b)
     if not excited:
-        v.settings[_QUIET_S] += u[kalman.DURATION_S]
-        v.settings[bank.CYCLE] = _BEFORE_LARGE_JUMP
+        births.quiet_s += u.duration_s
+        births.cycle = _BEFORE_LARGE_JUMP
     elif not was_quiet:
-        bank.births(v.z, v.p, v.records, v.settings, kalman.BETA, kalman.RATE)
-    return bool(v.out[0, kalman.BETA] > _LEAST_BETA)
+        bank.give_birth(b, kalman.BETA, kalman.RATE)
+    return bool(b.out[0, kalman.BETA] > _LEAST_BETA)
 
 
 @compiled
-def _jump_odds(v: BankVectors) -> float:
+def _jump_odds(v: InertiaArrays) -> float:
     """Odds of a jump of the inertia in quiet time."""
-    return expm1(min(v.figures[_JUMPS_PER_S] * v.settings[_QUIET_S], _LONGEST_QUIET))
+    return expm1(min(v.figures.jumps_per_s * v.bank.births.quiet_s, _LONGEST_QUIET))
 
 
 @compiled
-def _state_estimate(v: BankVectors, inertia_kg_m2: float, stated: Array) -> None:
-    """Update `stated` from the mixture; `inertia_kg_m2`: the model's.
+def _state_estimate(v: InertiaArrays) -> None:
+    """Update `stated` from the mixture.
 
     The inertia is held as far as the mixture is uncertain: a jump that is only probable moves the deviation, which is
     that about the stated value, and not the value by the noise of a newborn hypothesis.
     """
-    mean, odds = v.out[0, kalman.BETA], _jump_odds(v)
+    out, figures, stated, inertia_kg_m2 = v.bank.out, v.figures, v.stated, v.inputs.u.inertia_kg_m2
+    mean, odds = out[0, kalman.BETA], _jump_odds(v)
     unseen = max(odds / (1.0 + odds) - _LEFT_OUT, 0.0)
-    deviation = sqrt(v.out[1, kalman.BETA] ** 2 + unseen * v.settings[bank.JUMP_VARIANCE])
-    beta = inertia_kg_m2 / stated[INERTIA] if stated[INERTIA] > 0.0 else mean
-    apart = deviation * min(hypot(_CAUTION, deviation / (mean * v.figures[_SEPARABLE])), 1.0)
+    deviation = sqrt(out[1, kalman.BETA] ** 2 + unseen * v.bank.births.jump_variance)
+    beta = inertia_kg_m2 / stated.inertia_kg_m2 if stated.inertia_kg_m2 > 0.0 else mean
+    apart = deviation * min(hypot(_CAUTION, deviation / (mean * figures.separable)), 1.0)
     beta = min(max(beta, mean - apart), mean + apart)
-    stated[INERTIA] = inertia_kg_m2 / beta
+    stated.inertia_kg_m2 = inertia_kg_m2 / beta
     share = hypot(deviation, beta - mean) / beta
-    stated[DEVIATION] = stated[INERTIA] * hypot(share, v.figures[_UNMODELLED])
-    stated[SEPARABLE] = 1.0 if share < v.figures[_SEPARABLE] else 0.0
-    stated[VISCOUS] = v.out[0, kalman.Q + 1] + v.figures[OF_MODEL + 1]
-    stated[COULOMB] = v.out[0, kalman.Q + 2] + v.figures[OF_MODEL + 2]
-    stated[VISCOUS_SD], stated[COULOMB_SD] = v.out[1, kalman.Q + 1], v.out[1, kalman.Q + 2]
+    stated.deviation_kg_m2 = stated.inertia_kg_m2 * hypot(share, figures.unmodelled)
+    stated.separable = 1.0 if share < figures.separable else 0.0
+    stated.viscous = out[0, kalman.Q + 1] + figures.of_model[1]
+    stated.coulomb = out[0, kalman.Q + 2] + figures.of_model[2]
+    stated.viscous_sd, stated.coulomb_sd = out[1, kalman.Q + 1], out[1, kalman.Q + 2]
 
 
-@merged
-def of_table(table: Places, first: int) -> BankVectors:
-    """Vectors in a table from this row on."""
-    return BankVectors(
-        floats(table, first, (1, 2)),
-        floats(table, first + 1, (1, 2, 3)),
-        floats(table, first + 2, (1, 2)),
-        floats(table, first + 3, (1,)),
-        integers(table, first + 4, (1,)),
-        floats(table, first + 5, (1, 2)),
-        floats(table, first + 6, (1, 2)),
-        floats(table, first + 7, (1,)),
-    )
-
-
-#: Result of `take_next`: nothing done, all is the interpreter's; the bank was misled and restarts; a normal cycle.
+#: Results of a cycle: nothing done, all is the interpreter's; the bank was misled and restarts; a normal cycle.
 NOT_NEXT, MISLED, TAKEN = range(3)
 
 
 @compiled
-def take_next(
-    inputs: InputVectors, v: BankVectors, position_rad: float, torque_Nm: float, ripple_Nm: float, stated: Array
-) -> int:
+def take_next(v: InertiaArrays, position_rad: float, torque_Nm: float, ripple_Nm: float) -> int:
     """Compiled `InertiaEstimator.update` of a sample that `balance.take_next` accepts."""
-    if not balance.take_next(inputs, position_rad, torque_Nm, ripple_Nm):
+    if not balance.take_next(v.inputs, position_rad, torque_Nm, ripple_Nm):
         return NOT_NEXT
-    v.settings[bank.CYCLE] += 1.0
-    v.settings[bank.LOG_JUMP], v.settings[bank.LOG_DRIFT] = v.figures[_LOG_JUMP], v.figures[_LOG_DRIFT]
-    if not _step(v, inputs.u):
+    births = v.bank.births
+    births.cycle += 1.0
+    births.log_jump, births.log_drift = v.figures.log_jump, v.figures.log_drift
+    if not _step(v):
         return MISLED
-    _state_estimate(v, inputs.u[kalman.INERTIA_KG_M2], stated)
+    _state_estimate(v)
     return TAKEN
 
 
-@entry_point(TABLE, REAL, REAL, REAL, VECTOR)
-def _take_next(table: Places, position_rad: float, torque_Nm: float, ripple_Nm: float, stated: Array) -> int:
-    inputs, v = balance.of_table(table, 0), of_table(table, _BANK_ROW)
-    return take_next(inputs, v, position_rad, torque_Nm, ripple_Nm, stated)
+#: Actions on an estimator: take the next sample; step the bank; update the stated values.
+_TAKE, _STEP, _STATE = range(3)
 
 
-@entry_point(TABLE)
-def _step_once(table: Places) -> bool:
-    inputs, v = balance.of_table(table, 0), of_table(table, _BANK_ROW)
-    return _step(v, inputs.u)
-
-
-@entry_point(TABLE, REAL, VECTOR)
-def _state_once(table: Places, inertia_kg_m2: float, stated: Array) -> None:
-    v = of_table(table, _BANK_ROW)
-    _state_estimate(v, inertia_kg_m2, stated)
+@entry_point(COUNT, REAL, REAL, REAL, TABLE)
+def _act(what: int, position_rad: float, torque_Nm: float, ripple_Nm: float, table: Places) -> int:
+    v = arrays_in(table, InertiaArrays)
+    if what == _TAKE:
+        return take_next(v, position_rad, torque_Nm, ripple_Nm)
+    if what == _STEP:
+        return TAKEN if _step(v) else MISLED
+    _state_estimate(v)
+    return TAKEN
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,13 +167,13 @@ class ShaftEstimate:
 
 
 class Known(NamedTuple):
-    """Checkpoint of a shaft's estimate: means and covariances of the filters, records, mixture, settings."""
+    """Checkpoint of a shaft's estimate: means and covariances of the filters, hypotheses, mixture, births."""
 
     z: Array
     p: Array
-    records: Array
+    hypotheses: NDArray[np.void]
     out: Array
-    settings: Array
+    births: NDArray[np.void]
 
 
 class InertiaEstimator:
@@ -201,65 +182,50 @@ class InertiaEstimator:
     def __init__(self, config: InertiaConfig, model: ServoAxisParameters) -> None:
         self._config = config
         self._inputs = FilterInputs(model, config)
-        p = lay.pack(model)
-        figures = np.zeros(OF_MODEL + kalman.TERMS)
-        figures[_UNMODELLED] = 0.01 * config.unmodelled_pct
-        figures[_SEPARABLE] = _FOUND * 0.01 * config.initial_deviation_pct
-        figures[_JUMPS_PER_S] = config.jumps_per_s
-        figures[PRIORS:OF_MODEL] = self._inputs.priors
-        figures[OF_MODEL + 1] = model.shaft.viscous_friction_Nm_s_per_rad
-        figures[OF_MODEL + 2] = model.shaft.coulomb_friction_Nm
-        figures[OF_MODEL] = look(p, 0.0)[2]
-        self._settings = np.zeros(bank.SETTINGS + 1)
-        self._settings[bank.JUMP_VARIANCE] = (0.01 * config.jump_pct) ** 2
-        self._settings[bank.DRIFT_VARIANCE] = (0.01 * config.drift_pct_per_s) ** 2
-        self._z = np.zeros((kalman.SIZE, bank.CAPACITY))
-        self._p = np.zeros((kalman.SIZE, kalman.SIZE, bank.CAPACITY))
-        self._records = np.zeros((bank.CAPACITY, bank.RECORD))
-        self._out = np.zeros((2, kalman.SIZE))
-        work = np.zeros((2 * kalman.SIZE + 5, bank.CAPACITY))
-        places = np.arange(kalman.SIZE)
-        self._bank = BankVectors(self._z, self._p, self._records, self._settings, places, work, self._out, figures)
+        shaft = model.shaft
+        offset_Nm = look(lay.pack(model), 0.0)[2]
+        of_model = offset_Nm, shaft.viscous_friction_Nm_s_per_rad, shaft.coulomb_friction_Nm, 0.0, 0.0
+        separable = _FOUND * 0.01 * config.initial_deviation_pct
+        figures = (0.0, 0.0, 0.01 * config.unmodelled_pct, separable, config.jumps_per_s, of_model)
+        self._figures = np.array([figures], FIGURES)
+        self._bank = bank.new_bank(kalman.SIZE, np.arange(kalman.SIZE), config.jump_pct, config.drift_pct_per_s)
         self._cycle_s = 0.0  # cycle time of the birth priors
-        #: Stated values, by INERTIA and so on.
-        self.stated = np.zeros(COULOMB_SD + 1)
+        self._stated = np.zeros(1, STATED)
+        self.stated: np.void = self._stated[0]  #: a `STATED`
         self._begin()
         self._gather()
         self._state_estimate()
 
     def _gather(self) -> None:
-        """Collect the current vectors and the table of their addresses."""
-        self._gathered = self._inputs.vectors
-        self._table = table_of((*self._gathered, *self._bank))
+        """Collect the current arrays and the table of their addresses."""
+        self.arrays = InertiaArrays(self._inputs.arrays, self._bank, self._figures, self._stated)
+        self._table = table_of(self.arrays)
 
     @property
     def table(self) -> Places:
-        """Addresses of the vectors, for compiled callers of `take_next`; replaced whenever the vectors are."""
-        if self._gathered is not self._inputs.vectors:
+        """Addresses of the arrays, for compiled callers of `take_next`; replaced whenever the arrays are."""
+        if self.arrays.inputs is not self._inputs.arrays:
             self._gather()
         return self._table
 
     def _begin(self) -> None:
         """Reset to the model's inertia with the initial deviation."""
-        self._records[:] = 0.0
         deviation = 0.01 * self._config.initial_deviation_pct
-        kalman.new_filter(self._z, self._p, 0, deviation, self._inputs.priors)
-        self._records[0, bank.ALIVE] = 1.0
-        self._settings[_QUIET_S] = self.stated[INERTIA] = 0.0
-        self._out[0] = self._z[:, 0]
-        self._out[1] = np.sqrt(np.diag(self._p[:, :, 0]))
+        kalman.new_filter(self._bank.z, self._bank.p, 0, deviation, self._inputs.priors)
+        self._bank.begin()
+        self.stated["inertia_kg_m2"] = 0.0
         self._lose(lost=True)  # the motion, not the estimate of the shaft
 
     def _lose(self, *, lost: bool) -> None:
-        self._inputs.vectors.s[LOST] = lost
+        self._inputs.arrays.s["lost"] = lost
 
     def _state_estimate(self) -> None:
-        _state_once(self.table, self._inputs.inertia_kg_m2, self.stated)
+        _act(_STATE, 0.0, 0.0, 0.0, self.table)
 
     def update(self, sample: ShaftSample) -> ShaftEstimate:
         """Step every hypothesis and add the births of the next."""
         measured = sample.position_rad, sample.torque_Nm, sample.ripple_Nm
-        return self.go_on_from(_take_next(self.table, *measured, self.stated), sample)
+        return self.go_on_from(_act(_TAKE, *measured, self.table), sample)
 
     def go_on_from(self, stage: int, sample: ShaftSample) -> ShaftEstimate:
         """Run the interpreted rest of a cycle after `take_next`."""
@@ -277,25 +243,27 @@ class InertiaEstimator:
             self._lose(lost=True)
         if not usable:
             return
-        if self._inputs.vectors.s[LOST] or self._inputs.in_doubt:
+        if self._inputs.arrays.s["lost"][0] or self._inputs.in_doubt:
             speed = self._inputs.speed_rad_s
-            kalman.place_motion(self._z, self._p, sample.position_rad - self._inputs.duration_s * speed, speed)
+            kalman.place_motion(
+                self._bank.z, self._bank.p, sample.position_rad - self._inputs.duration_s * speed, speed
+            )
             self._lose(lost=False)
-        self._settings[bank.CYCLE] += 1.0
+        self._bank.births["cycle"] += 1.0
         self._put_priors(sample.cycle_s)
         # No shaft turns against its torque: an invalid estimate was misled, e.g. by a strong ripple that the model
         # lacks.
-        if not _step_once(self.table):
+        if _act(_STEP, 0.0, 0.0, 0.0, self.table) == MISLED:
             self._begin()
 
     def _put_priors(self, cycle_s: float) -> None:
         """Set the birth priors for the time from the previous sample to the last."""
-        c, figures = self._config, self._bank.figures
+        c, births = self._config, self._bank.births
         if self._cycle_s != cycle_s:
-            bank.set_priors(self._settings, c.jumps_per_s, c.drift_onsets_per_s, cycle_s)
-            figures[_LOG_JUMP], figures[_LOG_DRIFT] = self._settings[bank.LOG_JUMP], self._settings[bank.LOG_DRIFT]
+            self._bank.set_priors(c.jumps_per_s, c.drift_onsets_per_s, cycle_s)
+            self._figures["log_jump"], self._figures["log_drift"] = births["log_jump"], births["log_drift"]
             self._cycle_s = cycle_s
-        bank.set_priors(self._settings, c.jumps_per_s, c.drift_onsets_per_s, self._inputs.duration_s)
+        self._bank.set_priors(c.jumps_per_s, c.drift_onsets_per_s, self._inputs.duration_s)
 
     def miss(self, duration_s: float) -> ShaftEstimate:
         """Skip a cycle without sample: the next one is compared over all the time since the last."""
@@ -309,7 +277,7 @@ class InertiaEstimator:
 
     def known(self) -> Known:
         """Checkpoint of the present estimate, for `go_back`."""
-        return Known(*[each.copy() for each in self._kept()])
+        return deepcopy(self._kept())
 
     def go_back(self, known: Known) -> ShaftEstimate:
         """Restore a checkpoint; the motion is initialized anew."""
@@ -321,25 +289,27 @@ class InertiaEstimator:
         return self.estimate
 
     def _kept(self) -> Known:
-        return Known(self._z, self._p, self._records, self._out, self._settings)
+        return Known(self._bank.z, self._bank.p, self._bank.hypotheses, self._bank.out, self._bank.births)
 
     def _less_sure(self, duration_s: float) -> ShaftEstimate:
         if self._inputs.lost:
             self._lose(lost=True)
         added = (0.01 * self._config.hold_growth_pct_per_s) ** 2 * duration_s
-        bound, variances = (0.01 * self._config.jump_pct) ** 2, self._p[kalman.BETA, kalman.BETA]
+        bound, variances = (0.01 * self._config.jump_pct) ** 2, self._bank.p[kalman.BETA, kalman.BETA]
         variances += added * np.maximum(1.0 - variances / bound, 0.0)
-        variance = self._out[1, kalman.BETA] ** 2
-        self._out[1, kalman.BETA] = sqrt(variance + added * max(1.0 - variance / bound, 0.0))
+        out = self._bank.out
+        variance = out[1, kalman.BETA] ** 2
+        out[1, kalman.BETA] = sqrt(variance + added * max(1.0 - variance / bound, 0.0))
         self._state_estimate()
         return self.estimate
 
     @property
     def estimate(self) -> ShaftEstimate:
         """Estimate of the last cycle."""
-        inertia, deviation_kg_m2, separable = self.stated[: SEPARABLE + 1].tolist()
-        values = self._out[0, kalman.Q :] + self._bank.figures[OF_MODEL:]
-        deviations, priors = self._out[1, kalman.Q :].tolist(), self._inputs.priors.tolist()
+        inertia_kg_m2, deviation_kg_m2, separable, *_ = self.stated.item()
+        mean, deviation, _ = self._bank.out[:, kalman.Q :]
+        values, deviations = mean + self._figures["of_model"][0], deviation.tolist()
+        priors = self._inputs.priors.tolist()
         rows = zip(_NAMES, values.tolist(), deviations, priors, strict=True)
         also = tuple([Nuisance(n, v, d, d < _FOUND * prior) for n, v, d, prior in rows if prior > 0.0])
-        return ShaftEstimate(inertia, deviation_kg_m2, separable != 0.0, also)
+        return ShaftEstimate(inertia_kg_m2, deviation_kg_m2, separable != 0.0, also)

@@ -22,31 +22,32 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import compiled, inlined
-from hilbench.estimation.bank import Array, Places
+from hilbench.compiled import Record, compiled, inlined
+from hilbench.estimation.bank import Array, BankArrays
 from hilbench.estimation.correction import correct
 
 X, V, BETA, RATE, Q = range(5)
 #: Torque offset, viscous and dry friction, sine and cosine of an unbalance.
 TERMS: Final = 5
 SIZE: Final = Q + TERMS
-#: Inputs of a step, in this order.
-(
-    DURATION_S,
-    INERTIA_KG_M2,  # J0
-    TORQUE_NM,  # mean over the cycle, without the model's friction
-    ACCELERATION_RAD_S2,  # of the encoder; 0 within its noise
-    TORQUE_VARIANCE,
-    BETA_VARIANCE_PER_S,  # of its random walk
-    BETA_BOUND,  # bound of that variance
-    POSITION_RAD,
-    POSITION_VARIANCE,
-    DRIFT_S,  # decay time of a drift
-    REGRESSORS,
-) = range(11)
-MEMORIES_S: Final = REGRESSORS + TERMS
-PRIORS: Final = MEMORIES_S + TERMS
-INPUTS: Final = PRIORS + TERMS
+#: Inputs of a step.
+INPUTS: Final = np.dtype(
+    [
+        ("duration_s", "f8"),
+        ("inertia_kg_m2", "f8"),  # J0
+        ("torque_Nm", "f8"),  # mean over the cycle, without the model's friction
+        ("acceleration_rad_s2", "f8"),  # of the encoder; 0 within its noise
+        ("torque_variance", "f8"),
+        ("beta_variance_per_s", "f8"),  # of its random walk
+        ("beta_bound", "f8"),  # bound of that variance
+        ("position_rad", "f8"),
+        ("position_variance", "f8"),
+        ("drift_s", "f8"),  # decay time of a drift
+        ("regressors", "f8", (TERMS,)),
+        ("memories_s", "f8", (TERMS,)),
+        ("priors", "f8", (TERMS,)),
+    ]
+)
 #: Least β: no shaft is so much heavier than the model's.
 _LEAST_BETA = 0.02
 
@@ -70,28 +71,25 @@ def wandered(variance: float, added: float, bound: float) -> float:
 
 
 @compiled
-def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, likelihoods: Array) -> None:
-    """Predict all filters over one cycle and correct them by the position.
-
-    z (SIZE, H), p (SIZE, SIZE, H): means and covariances of H filters; u (INPUTS,); places: indices of all states; g
-    and rows (SIZE + 3, H) are scratch: sensitivities of the acceleration to the state, products. likelihoods (H,)
-    returns the log likelihoods, 0 without acceleration.
-    """
-    dt, count = u[DURATION_S], z.shape[1]
+def step(b: BankArrays, u: Record) -> None:
+    """Predict all filters over one cycle and correct them by the position; u: `INPUTS`. The log likelihoods are 0
+    without acceleration."""
+    z, p, places, rows, g = b.z, b.p, b.places, b.work[: SIZE + 3], b.work[SIZE + 3 :]
+    dt, count = u.duration_s, z.shape[1]
     half = 0.5 * dt * dt
     # In quiet time a drift is not observable: the estimate of the inertia stays.
-    drifting = dt if u[ACCELERATION_RAD_S2] != 0.0 else 0.0
+    drifting = dt if u.acceleration_rad_s2 != 0.0 else 0.0
     curved, per_torque = rows[SIZE + 1], rows[SIZE + 2]
     for i in range(count):
         beta = max(z[BETA, i], _LEAST_BETA)
-        per_torque[i] = beta / u[INERTIA_KG_M2]
+        per_torque[i] = beta / u.inertia_kg_m2
         # Nonlinearity in β, as noise: a filter that is 20 % off must not call its first correction exact.
-        curved[i] = u[ACCELERATION_RAD_S2] * p[BETA, BETA, i] / (beta * beta)
-        net = u[TORQUE_NM]
+        curved[i] = u.acceleration_rad_s2 * p[BETA, BETA, i] / (beta * beta)
+        net = u.torque_Nm
         for k in range(TERMS):
-            net -= u[REGRESSORS + k] * z[Q + k, i]
-            g[Q + k, i] = -per_torque[i] * u[REGRESSORS + k]
-        g[BETA, i] = u[ACCELERATION_RAD_S2] / beta
+            net -= u.regressors[k] * z[Q + k, i]
+            g[Q + k, i] = -per_torque[i] * u.regressors[k]
+        g[BETA, i] = u.acceleration_rad_s2 / beta
         rate = per_torque[i] * net
         z[X, i] += dt * z[V, i] + half * rate
         z[V, i] += dt * rate
@@ -119,13 +117,13 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
             p[j, V, i] += dt * rows[j, i]
             p[j, BETA, i] += drifting * p[j, RATE, i]
     for i in range(count):
-        variance = per_torque[i] * per_torque[i] * u[TORQUE_VARIANCE] + 2.0 * curved[i] * curved[i]
+        variance = per_torque[i] * per_torque[i] * u.torque_variance + 2.0 * curved[i] * curved[i]
         p[X, X, i] += half * half * variance
         p[X, V, i] += half * dt * variance
         p[V, X, i] += half * dt * variance
         p[V, V, i] += dt * dt * variance
-        p[BETA, BETA, i] += wandered(p[BETA, BETA, i], dt * u[BETA_VARIANCE_PER_S], u[BETA_BOUND])
-    kept = 1.0 - dt / u[DRIFT_S]
+        p[BETA, BETA, i] += wandered(p[BETA, BETA, i], dt * u.beta_variance_per_s, u.beta_bound)
+    kept = 1.0 - dt / u.drift_s
     for i in range(count):
         z[RATE, i] *= kept
     for k in range(SIZE):
@@ -135,7 +133,7 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
             p[k, RATE, i] *= kept
     # Weak evidence is forgotten again: what the data don't identify returns to its prior.
     for j in range(Q, SIZE):
-        prior, gone = u[PRIORS + j - Q], dt / u[MEMORIES_S + j - Q]
+        prior, gone = u.priors[j - Q], dt / u.memories_s[j - Q]
         left = 1.0 - gone
         if prior > 0.0:
             for i in range(count):
@@ -149,15 +147,15 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
                 p[j, j, i] += 2.0 * gone * prior * prior
     innovation, variances = rows[SIZE + 1], g[X]
     for i in range(count):
-        innovation[i] = u[POSITION_RAD] - z[X, i]
-        variances[i] = p[X, X, i] + u[POSITION_VARIANCE]
+        innovation[i] = u.position_rad - z[X, i]
+        variances[i] = p[X, X, i] + u.position_variance
     correct(z, p, rows, places, X, innovation, variances)
     for i in range(count):
-        likelihoods[i] = 0.0
-        if u[ACCELERATION_RAD_S2] != 0.0:
-            known = _known_variance(per_torque[i] * sqrt(u[TORQUE_VARIANCE]), dt, u[POSITION_VARIANCE])
+        b.likelihoods[i] = 0.0
+        if u.acceleration_rad_s2 != 0.0:
+            known = _known_variance(per_torque[i] * sqrt(u.torque_variance), dt, u.position_variance)
             variance = variances[i]
-            likelihoods[i] = -0.5 * (innovation[i] * innovation[i] / variance + log(variance / known))
+            b.likelihoods[i] = -0.5 * (innovation[i] * innovation[i] / variance + log(variance / known))
 
 
 def new_filter(z: Array, p: Array, i: int, deviation: float, priors: Array) -> None:

@@ -15,14 +15,15 @@ saturation, nor across such a gap. Compiled.
 from __future__ import annotations
 
 from math import sqrt
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hilbench.compiled import compiled, inlined
+from hilbench.compiled import Record, compiled, inlined
 from hilbench.estimation import ring
-from hilbench.estimation.bank import Array
 from hilbench.estimation.problems import Problem
-from hilbench.estimation.web_line import block_means
+from hilbench.estimation.ring import RING
 
 #: Ratio below which the web is broken, and above which it is whole again.
 BROKEN, WHOLE = 0.15, 0.3
@@ -55,157 +56,157 @@ _NOTED_EVERY = 0.1
 _WEB_BREAK, _SLIP = int(Problem.WEB_BREAK), int(Problem.SLIP)
 #: No open change.
 _NONE = -1.0
-# State; then two rings: ratios of the blocks before, and noted ratios.
-(
-    _MODULUS_PA,  # what the ratio is formed with
-    _SPAN_M,
-    _LEAST_N,  # least tension by the strain
-    _HAS_LAST,  # the block before this one
-    _LAST_N,
-    _LAST_PER_PA,
-    _USUAL_N,
-    _SCATTER_N2,  # mean square of the difference of two blocks' tensions
-    _SINCE_CHANGE_M,  # travel since a change that is not judged yet
-    _QUIET_M,
-    _RATIO_BEFORE,
-    _RATIO_AT_ONCE,
-    _SINCE_NOTED_M,
-    _LEAST,
-    _SETTLING,
-    _BROKEN_NOW,
-    _SLIPPING,
-    _RATIOS,  # offsets of the rings
-    _SWUNG,
-) = range(19)
-_SIZE = 19
+#: Number of ratios that are noted for their range: a span's length after length, while an initial difference leaves.
+_NOTED: Final = round(PASSED_SPANS / _NOTED_EVERY)
+ANOMALIES: Final = np.dtype(
+    [
+        ("modulus_Pa", "f8"),  # what the ratio is formed with
+        ("span_m", "f8"),
+        ("least_N", "f8"),  # least tension by the strain
+        ("has_last", "f8"),  # the block before this one
+        ("last_N", "f8"),
+        ("last_per_Pa", "f8"),
+        ("usual_N", "f8"),
+        ("scatter_N2", "f8"),  # mean square of the difference of two blocks' tensions
+        ("since_change_m", "f8"),  # travel since a change that is not judged yet
+        ("quiet_m", "f8"),
+        ("ratio_before", "f8"),
+        ("ratio_at_once", "f8"),
+        ("since_noted_m", "f8"),
+        ("least", "f8"),
+        ("settling", "f8"),
+        ("broken_now", "f8"),
+        ("slipping", "f8"),
+        ("before", RING),  # of `ratios`: those of the blocks before
+        ("ratios", "f8", (_BEFORE,)),
+        ("noted", RING),  # of `swung`
+        ("swung", "f8", (_NOTED,)),
+    ]
+)
 
 
 @compiled
-def reset(s: Array) -> None:
+def reset(s: Record) -> None:
     """Reset for another web, or after a standstill. s: state of `new_state`."""
     suspend(s)
-    ring.clear(s, int(s[_SWUNG]))
-    for place in (_USUAL_N, _SCATTER_N2, _RATIO_BEFORE, _RATIO_AT_ONCE, _SINCE_NOTED_M, _LEAST, _BROKEN_NOW, _SLIPPING):
-        s[place] = 0.0
-    s[_QUIET_M] = PASSED_SPANS * s[_SPAN_M]
+    ring.clear(s.noted)
+    s.usual_N = s.scatter_N2 = s.ratio_before = s.ratio_at_once = s.since_noted_m = s.least = 0.0
+    s.broken_now = s.slipping = 0.0
+    s.quiet_m = PASSED_SPANS * s.span_m
 
 
 @compiled
-def suspend(s: Array) -> None:
+def suspend(s: Record) -> None:
     """Forget an open change and the previous blocks: the measurement is unusable."""
-    s[_HAS_LAST] = 0.0
-    s[_SINCE_CHANGE_M] = _NONE
-    ring.clear(s, int(s[_RATIOS]))
+    s.has_last = 0.0
+    s.since_change_m = _NONE
+    ring.clear(s.before)
 
 
 @inlined
-def is_judging(s: Array) -> bool:
+def is_judging(s: Record) -> bool:
     """True if a change is open that may be a slip."""
-    return bool(s[_SINCE_CHANGE_M] >= 0.0)
+    return bool(s.since_change_m >= 0.0)
 
 
 @compiled
-def look(s: Array, block: Array) -> None:
+def look(s: Record, block: Record) -> None:
     """Take a complete block. `block`: state of `block_means`."""
-    block_N, block_per_Pa = block[block_means.FORCE_N], block[block_means.WEB_PER_PA]
-    first, gained_N = s[_HAS_LAST] == 0.0, block_N - s[_LAST_N]
-    tension_N, web_per_Pa = 0.5 * (s[_LAST_N] + block_N), 0.5 * (s[_LAST_PER_PA] + block_per_Pa)
-    s[_HAS_LAST], s[_LAST_N], s[_LAST_PER_PA] = 1.0, block_N, block_per_Pa
+    block_N, block_per_Pa = block.force_N, block.web_per_Pa
+    first, gained_N = s.has_last == 0.0, block_N - s.last_N
+    tension_N, web_per_Pa = 0.5 * (s.last_N + block_N), 0.5 * (s.last_per_Pa + block_per_Pa)
+    s.has_last, s.last_N, s.last_per_Pa = 1.0, block_N, block_per_Pa
     if first:
         return
-    promised_N = s[_MODULUS_PA] * web_per_Pa
-    if promised_N < s[_LEAST_N]:
-        s[_SINCE_CHANGE_M] = _NONE
-        s[_QUIET_M] = PASSED_SPANS * s[_SPAN_M]
+    promised_N = s.modulus_Pa * web_per_Pa
+    if promised_N < s.least_N:
+        s.since_change_m = _NONE
+        s.quiet_m = PASSED_SPANS * s.span_m
         return
-    if block[block_means.MOTION_N] > _MOTION * promised_N:
+    if block.motion_N > _MOTION * promised_N:
         suspend(s)
         return
-    ratio, threshold = tension_N / promised_N, WHOLE if s[_BROKEN_NOW] != 0.0 else BROKEN
-    sure_N = _SURE * sqrt(0.25 * s[_SCATTER_N2])  # of the mean of two blocks
-    broken = ratio < threshold and tension_N < min(threshold * s[_USUAL_N], promised_N - sure_N)
-    s[_BROKEN_NOW] = 1.0 if broken else 0.0
-    smoothing = min(block[block_means.DURATION_S] / _USUAL_S, 1.0)
+    ratio, threshold = tension_N / promised_N, WHOLE if s.broken_now != 0.0 else BROKEN
+    sure_N = _SURE * sqrt(0.25 * s.scatter_N2)  # of the mean of two blocks
+    broken = ratio < threshold and tension_N < min(threshold * s.usual_N, promised_N - sure_N)
+    s.broken_now = 1.0 if broken else 0.0
+    smoothing = min(block.duration_s / _USUAL_S, 1.0)
     if not broken:
-        s[_USUAL_N] += smoothing * (tension_N - s[_USUAL_N])
-    s[_SCATTER_N2] += smoothing * (gained_N * gained_N - s[_SCATTER_N2])
-    _look_for_slip(s, ratio, sure_N / promised_N, abs(block[block_means.VELOCITY_M_S]) * block[block_means.DURATION_S])
+        s.usual_N += smoothing * (tension_N - s.usual_N)
+    s.scatter_N2 += smoothing * (gained_N * gained_N - s.scatter_N2)
+    _look_for_slip(s, ratio, sure_N / promised_N, abs(block.velocity_m_s) * block.duration_s)
 
 
 @inlined
-def found(s: Array) -> int:
+def found(s: Record) -> int:
     """`Problem` of the web: broken or slipping; 0: neither."""
-    if s[_BROKEN_NOW] != 0.0:
+    if s.broken_now != 0.0:
         return _WEB_BREAK
-    return _SLIP if s[_SLIPPING] != 0.0 else 0
+    return _SLIP if s.slipping != 0.0 else 0
 
 
 @compiled
-def _look_for_slip(s: Array, ratio: float, sure: float, moved_m: float) -> None:
+def _look_for_slip(s: Record, ratio: float, sure: float, moved_m: float) -> None:
     """`sure`: a change of the ratio that is no noise."""
-    ratios, swung = int(s[_RATIOS]), int(s[_SWUNG])
-    s[_SINCE_NOTED_M] += moved_m
+    s.since_noted_m += moved_m
     if is_judging(s):
         _judge(s, ratio, sure, moved_m)
-    elif s[_QUIET_M] > 0.0:
-        s[_QUIET_M] -= moved_m
-        ring.clear(s, ratios)
-    elif ring.is_full(s, ratios) and abs(ratio / _ratio_before(s) - 1.0) > max(_CHANGED, sure):
+    elif s.quiet_m > 0.0:
+        s.quiet_m -= moved_m
+        ring.clear(s.before)
+    elif s.before.count == _BEFORE and abs(ratio / _ratio_before(s) - 1.0) > max(_CHANGED, sure):
         before = _ratio_before(s)
-        s[_SINCE_CHANGE_M] = 0.0
-        s[_RATIO_BEFORE] = before
-        s[_RATIO_AT_ONCE] = 0.0
-        low = high = ring.value(s, swung, 0) if ring.count(s, swung) else before
-        for i in range(ring.count(s, swung)):
-            low = min(low, ring.value(s, swung, i))
-            high = max(high, ring.value(s, swung, i))
-        s[_LEAST] = low - (high - low)
-        s[_SETTLING] = _SETTLED
-        ring.clear(s, ratios)
+        s.since_change_m = 0.0
+        s.ratio_before = before
+        s.ratio_at_once = 0.0
+        low = high = s.swung[s.noted.first] if s.noted.count else before
+        for i in range(s.noted.count):
+            low = min(low, s.swung[i])
+            high = max(high, s.swung[i])
+        s.least = low - (high - low)
+        s.settling = _SETTLED
+        ring.clear(s.before)
     else:
-        ring.push(s, ratios, ratio)
-    if not is_judging(s) and s[_SINCE_NOTED_M] > _NOTED_EVERY * s[_SPAN_M]:
-        s[_SINCE_NOTED_M] = 0.0
-        ring.push(s, swung, ratio)
+        s.ratios[ring.push(s.before, _BEFORE)] = ratio
+    if not is_judging(s) and s.since_noted_m > _NOTED_EVERY * s.span_m:
+        s.since_noted_m = 0.0
+        s.swung[ring.push(s.noted, _NOTED)] = ratio
 
 
 @inlined
-def _ratio_before(s: Array) -> float:
+def _ratio_before(s: Record) -> float:
     """Median of three old ratios, of which an outlier block is in one at most."""
-    ratios = int(s[_RATIOS])
-    a, b, c = ring.value(s, ratios, 0), ring.value(s, ratios, _SETTLED), ring.value(s, ratios, 2 * _SETTLED)
-    return max(min(a, b), min(max(a, b), c))
+    first, ratios = s.before, s.ratios
+    a = ratios[ring.place(first, _BEFORE, 0)]
+    b = ratios[ring.place(first, _BEFORE, _SETTLED)]
+    c = ratios[ring.place(first, _BEFORE, 2 * _SETTLED)]
+    return float(max(min(a, b), min(max(a, b), c)))
 
 
 @compiled
-def _judge(s: Array, ratio: float, sure: float, moved_m: float) -> None:
+def _judge(s: Record, ratio: float, sure: float, moved_m: float) -> None:
     """Judge an open change by its ratio soon after detection and now: of a slip, more is missing now than noise."""
     changed = max(_CHANGED, sure)
-    s[_SINCE_CHANGE_M] += moved_m
-    s[_SETTLING] -= 1.0
-    if s[_SETTLING] == 0.0:
-        s[_RATIO_AT_ONCE] = ratio
-        if abs(ratio / s[_RATIO_BEFORE] - 1.0) <= changed:  # a single block was off
-            s[_SINCE_CHANGE_M] = _NONE
+    s.since_change_m += moved_m
+    s.settling -= 1.0
+    if s.settling == 0.0:
+        s.ratio_at_once = ratio
+        if abs(ratio / s.ratio_before - 1.0) <= changed:  # a single block was off
+            s.since_change_m = _NONE
             return
-    if s[_SETTLING] > 0.0 or s[_SINCE_CHANGE_M] < _JUDGED_AFTER * s[_SPAN_M]:
+    if s.settling > 0.0 or s.since_change_m < _JUDGED_AFTER * s.span_m:
         return
-    change, at_once = ratio / s[_RATIO_BEFORE] - 1.0, s[_RATIO_AT_ONCE] / s[_RATIO_BEFORE] - 1.0
-    s[_SINCE_CHANGE_M] = _NONE
-    s[_QUIET_M] = PASSED_SPANS * s[_SPAN_M]
+    change, at_once = ratio / s.ratio_before - 1.0, s.ratio_at_once / s.ratio_before - 1.0
+    s.since_change_m = _NONE
+    s.quiet_m = PASSED_SPANS * s.span_m
     if abs(change) <= changed:  # back to its earlier value
-        s[_SLIPPING] = 0.0
-    elif s[_BROKEN_NOW] == 0.0:
-        s[_SLIPPING] = 1.0 if change < 0.0 and at_once > _AT_ONCE * change + 0.5 * sure and ratio < s[_LEAST] else 0.0
+        s.slipping = 0.0
+    elif s.broken_now == 0.0:
+        s.slipping = 1.0 if change < 0.0 and at_once > _AT_ONCE * change + 0.5 * sure and ratio < s.least else 0.0
 
 
-def new_state(model_modulus_Pa: float, usual_tension_N: float, span_length_m: float) -> Array:
+def new_state(model_modulus_Pa: float, usual_tension_N: float, span_length_m: float) -> NDArray[np.void]:
     """State of the anomaly detector on the blocks of axis 2. `model_modulus_Pa`: E of the ratio."""
-    capacities = {_RATIOS: _BEFORE, _SWUNG: round(PASSED_SPANS / _NOTED_EVERY)}
-    s = np.zeros(_SIZE + sum(map(ring.size, capacities.values())))
-    s[_MODULUS_PA], s[_SPAN_M], s[_LEAST_N] = model_modulus_Pa, span_length_m, LEAST_SHARE * usual_tension_N
-    at = _SIZE
-    for place, capacity in capacities.items():
-        s[place] = at
-        at = ring.put(s, at, capacity)
+    s = np.zeros(1, ANOMALIES)
+    s["modulus_Pa"], s["span_m"], s["least_N"] = model_modulus_Pa, span_length_m, LEAST_SHARE * usual_tension_N
     return s

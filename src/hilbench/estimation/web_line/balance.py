@@ -9,11 +9,11 @@ section times its strain by the encoders.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import compiled, inlined
+from hilbench.compiled import Reals, compiled, inlined, record_type
 from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.web_line import laws, line_kernel, places, splice_laws
 from hilbench.plant.web_line import layout as lay
@@ -42,19 +42,20 @@ class BalanceSample:
     velocity_m_s: float  #: of roller 2, from two positions
 
 
-class BalanceVectors(NamedTuple):
-    """Vectors of a `MeasuredBalance`, for compiled callers."""
-
-    p: Vector  #: parameters of the two rollers
-    web: LineVectors  #: held to the measured motion
-    s: Vector  #: state: STARTED to _F_NEXT_N, and the last `BalanceSample`
-
-
-# State of a balance: phase (_BEGUN: the web was placed in this cycle) and previous position; creep ratio at roller 1,
-# and tension after roller 2; then the fields of a `BalanceSample`.
-STARTED, _BEFORE_M, _CREEP_RATIO_PREV, _F_NEXT_N, X2_M, FORCE_N, WEB_PER_PA, VELOCITY_M_S = range(8)
-_SIZE = 8
+#: State of a balance: phase (_BEGUN: the web was placed in this cycle) and previous position; creep ratio at roller 1,
+#: and tension after roller 2; then the fields of a `BalanceSample`.
+BALANCE: Final = record_type(
+    *("started", "before_m", "creep_ratio_prev", "F_next_N", "x2_m", "force_N", "web_per_Pa", "velocity_m_s")
+)
 _NOT_STARTED, _BEGUN, _FOLLOWS = 0.0, 1.0, 2.0
+
+
+class BalanceVectors(NamedTuple):
+    """Arrays of a `MeasuredBalance`, for compiled callers."""
+
+    p: Reals  #: parameters of the two rollers
+    web: LineVectors  #: held to the measured motion
+    s: Annotated[Any, BALANCE]
 
 
 @compiled
@@ -119,7 +120,7 @@ def _follow_to(balance: BalanceVectors, x1_m: float, x2_m: float, duration_s: fl
     """
     p, s, u, w, out = balance.web
     v1_m_s, v2_m_s = (x1_m - s[lay.S_Y]) / duration_s, (x2_m - s[lay.S_Y + 1]) / duration_s
-    leaving = 1.0 + balance.s[_CREEP_RATIO_PREV] if v1_m_s < 0.0 else 1.0
+    leaving = 1.0 + balance.s.creep_ratio_prev if v1_m_s < 0.0 else 1.0
     line_kernel.set_speed(p, s, 0, v1_m_s * leaving)
     line_kernel.set_speed(p, s, 1, v2_m_s)
     line_kernel.roll_on(p, s, u, w, duration_s, p[lay.W_SAMPLE_TIME_S], line_kernel.LONGEST_STEP_S)
@@ -139,9 +140,9 @@ def _put_boundary(
     that in its strain; in reverse so much more leaves than the roller turns.
     """
     p, s, u, w, out = balance.web
-    balance.s[_CREEP_RATIO_PREV] = creep_ratio_prev
-    changed = u[lay.U_STRAIN_PREV] != strain_prev or balance.s[_F_NEXT_N] != f_next_N
-    u[lay.U_STRAIN_PREV], balance.s[_F_NEXT_N] = strain_prev, f_next_N
+    balance.s.creep_ratio_prev = creep_ratio_prev
+    changed = u[lay.U_STRAIN_PREV] != strain_prev or balance.s.F_next_N != f_next_N
+    u[lay.U_STRAIN_PREV], balance.s.F_next_N = strain_prev, f_next_N
     # Strain of the web after roller 2 is its tension over its stiffness; without tension any force without effect does.
     u[lay.U_F_NEXT_N] = f_next_N if f_next_N != 0.0 else strain_next
     p[lay.W_DOWNSTREAM_STIFFNESS_N] = f_next_N / strain_next if f_next_N != 0.0 else 1.0
@@ -183,16 +184,16 @@ def momentum_balance(
     not `F_next_N`, which is after the last of them. `creep_ratio_prev`: as in `_put_boundary`.
     """
     s, velocity_m_s = balance.s, 0.0
-    if s[STARTED] == _FOLLOWS:
+    if s.started == _FOLLOWS:
         _follow_to(balance, x1_m, x2_m, duration_s)
-        velocity_m_s = (x2_m - s[_BEFORE_M]) / duration_s
+        velocity_m_s = (x2_m - s.before_m) / duration_s
     _put_boundary(balance, strain_prev, behind_N, strain_next, creep_ratio_prev)
-    s[STARTED] = _FOLLOWS
-    s[_BEFORE_M] = x2_m
-    s[X2_M] = x2_m
-    s[FORCE_N] = measured_force_N(balance.p, torque_Nm, x2_m, velocity_m_s, F_next_N)
-    s[WEB_PER_PA] = tension_N(balance) / balance.web.p[modulus_place(balance.web.p)]
-    s[VELOCITY_M_S] = velocity_m_s
+    s.started = _FOLLOWS
+    s.before_m = x2_m
+    s.x2_m = x2_m
+    s.force_N = measured_force_N(balance.p, torque_Nm, x2_m, velocity_m_s, F_next_N)
+    s.web_per_Pa = tension_N(balance) / balance.web.p[modulus_place(balance.web.p)]
+    s.velocity_m_s = velocity_m_s
 
 
 def mass_at_web_kg(p: Vector) -> float:
@@ -222,29 +223,30 @@ class MeasuredBalance:
         self.dry_friction_N = float(
             axis[lay.place("coulomb_friction", "force_N")] + axis[lay.place("stribeck_friction", "force_N")]
         )
-        self.state = np.zeros(_SIZE)
+        self._arrays = np.zeros(1, BALANCE)
+        self.state = self._arrays[0]
 
     @property
     def vectors(self) -> BalanceVectors:
         """Vectors of this balance, for compiled callers."""
-        return BalanceVectors(self._p, self.web.vectors, self.state)
+        return BalanceVectors(self._p, self.web.vectors, self._arrays)
 
     @property
     def sample(self) -> BalanceSample:
         """Last sample."""
-        return BalanceSample(*self.state[X2_M:].tolist())
+        return BalanceSample(*self.state.item()[-4:])
 
     @property
     def is_followed(self) -> bool:
         """True if the web's position is initialized."""
-        return self.state.item(STARTED) != _NOT_STARTED
+        return bool(self.state["started"] != _NOT_STARTED)
 
     def reset(self) -> None:
         """Restart at the next update, with the web strained as upstream."""
-        self.state[STARTED] = _NOT_STARTED
+        self.state["started"] = _NOT_STARTED
 
     def begin(self, x1_m: float, x2_m: float, strain_prev: float) -> None:
         """Place the web at the rollers if it is not yet followed; call it before `momentum_balance`."""
-        if self.state[STARTED] == _NOT_STARTED:
+        if self.state["started"] == _NOT_STARTED:
             self.web.reset((x1_m, x2_m), strain=[strain_prev])
-            self.state[STARTED] = _BEGUN
+            self.state["started"] = _BEGUN

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from hilbench.compiled import interpreted
 from hilbench.estimation.web_line import span_estimator_cycle as cycle
 from hilbench.estimation.web_line.balance import MeasuredBalance
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.splices import Piece
 
 _as_if_stretched = interpreted(cycle.equivalent_strain)
 
 
 class MeasuredSpan:
-    """Strains and lengths of a balance's web; `t`: live state of the span estimator (`span_estimator_cycle.SIZE`,)."""
+    """Strains and lengths of a balance's web; `t`: live state of the span estimator, a `span_estimator_cycle.SPAN`."""
 
-    def __init__(self, balance: MeasuredBalance, t: Vector) -> None:
+    def __init__(self, balance: MeasuredBalance, t: np.void) -> None:
         self._balance, self._t = balance, t
 
     @property
@@ -27,17 +28,17 @@ class MeasuredSpan:
     @property
     def series_factor(self) -> float:
         """Factor on E of the span by pieces of other web, as springs in series."""
-        return self._t.item(cycle.SERIES_FACTOR)
+        return float(self._t["series_factor"])
 
     @property
     def leaving_strain(self) -> float:
         """Strain of the web leaving the span: all pieces carry the same tension, each with its own strain."""
-        return self.strain * self.series_factor / self._t.item(cycle.END_FACTOR)
+        return self.strain * self.series_factor / float(self._t["end_factor"])
 
     @property
     def creep_ratio(self) -> float:
         """Share by which less web leaves the span than the roller after it turns, by creep."""
-        return self._t.item(cycle.CREEP_RATIO)
+        return float(self._t["creep_ratio"])
 
     @property
     def outlet_strain(self) -> float:
@@ -68,5 +69,5 @@ class MeasuredSpan:
         """Set the pieces of other web in the span, by the travel of the roller before it."""
         t, web = self._t, self._balance.web
         web.put_pieces(pieces)
-        t[cycle.SPLICED] = bool(pieces)
-        t[cycle.SERIES_FACTOR], t[cycle.END_FACTOR] = web.spliced_spans[0]
+        t["spliced"] = bool(pieces)
+        t["series_factor"], t["end_factor"] = web.spliced_spans[0]

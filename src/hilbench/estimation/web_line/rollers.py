@@ -12,59 +12,74 @@ balance of its own, which a change in no other span disturbs.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, interpreted
+from hilbench.compiled import (
+    REAL,
+    TABLE,
+    VECTOR,
+    Reals,
+    Reals2,
+    Wholes2,
+    arrays_in,
+    compiled,
+    entry_point,
+    interpreted,
+    table_of,
+)
 from hilbench.estimation.web_line.balance import mass_at_web_kg, measured_force_N
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 
-Matrix = NDArray[np.float64]
 
-#: State of M rollers (1 + 2 M,): positions valid; positions at the web; force of each motor there, less its roller's
-#: resistance.
-_HAS_POSITIONS, _POSITIONS = 0, 1
+class RollerArrays(NamedTuple):
+    """Rollers after the first of a line (M), for compiled callers."""
+
+    p: Reals2  #: parameters of each roller and the one before it (M, P)
+    masses_kg: Reals  #: at the web
+    started: Reals  #: (1,): there are positions
+    positions_m: Reals  #: at the web
+    forces_N: Reals  #: of each motor there, less its roller's resistance
 
 
 @compiled
-def take(p: Matrix, s: Vector, x_m: Vector, torques_Nm: Vector, duration_s: float) -> None:
-    """Compiled `Rollers.update`; p (M, P): parameters of each roller and the one before it, s: state."""
-    count = p.shape[0]
-    for j in range(count):
+def take(r: RollerArrays, x_m: Vector, torques_Nm: Vector, duration_s: float) -> None:
+    """Compiled `Rollers.update`."""
+    for j in range(len(r.masses_kg)):
         now_m = x_m[j + 1]
-        before_m = s[_POSITIONS + j] if s[_HAS_POSITIONS] != 0.0 else now_m
-        s[_POSITIONS + j] = now_m
+        before_m = r.positions_m[j] if r.started[0] != 0.0 else now_m
+        r.positions_m[j] = now_m
         velocity_m_s = (now_m - before_m) / duration_s
-        s[_POSITIONS + count + j] = measured_force_N(p[j], torques_Nm[j + 1], now_m, velocity_m_s, 0.0)
-    s[_HAS_POSITIONS] = 1.0
+        r.forces_N[j] = measured_force_N(r.p[j], torques_Nm[j + 1], now_m, velocity_m_s, 0.0)
+    r.started[0] = 1.0
 
 
 @compiled
-def force_behind_N(masses_kg: Vector, s: Vector, axis: int) -> float:
-    """Compiled `Rollers.force_behind_N`; masses_kg (M,): at the web."""
-    total_N, count = 0.0, len(masses_kg)
-    for j in range(axis - 1, count):
-        total_N += s[_POSITIONS + count + j]
+def force_behind_N(r: RollerArrays, axis: int) -> float:
+    """Compiled `Rollers.force_behind_N`."""
+    total_N = 0.0
+    for j in range(axis - 1, len(r.forces_N)):
+        total_N += r.forces_N[j]
     return total_N
 
 
 @compiled
-def centre_m(masses_kg: Vector, s: Vector, axis: int) -> float:
+def centre_m(r: RollerArrays, axis: int) -> float:
     """Compiled `Rollers.centre_m`."""
     moments, total_kg = 0.0, 0.0
-    for j in range(axis - 2, len(masses_kg)):
-        moments += masses_kg[j] * s[_POSITIONS + j]
-        total_kg += masses_kg[j]
+    for j in range(axis - 2, len(r.masses_kg)):
+        moments += r.masses_kg[j] * r.positions_m[j]
+        total_kg += r.masses_kg[j]
     return moments / total_kg
 
 
-@entry_point(MATRIX, VECTOR, VECTOR, VECTOR, REAL)
-def _take(p: Matrix, s: Vector, x_m: Vector, torques_Nm: Vector, duration_s: float) -> None:
-    take(p, s, x_m, torques_Nm, duration_s)
+@entry_point(VECTOR, VECTOR, REAL, TABLE)
+def _take(x_m: Vector, torques_Nm: Vector, duration_s: float, table: Wholes2) -> None:
+    take(arrays_in(table, RollerArrays), x_m, torques_Nm, duration_s)
 
 
 _force_behind_N, _centre_m = interpreted(force_behind_N), interpreted(centre_m)
@@ -78,30 +93,31 @@ class Rollers:
 
     def __init__(self, model: ModelParameters) -> None:
         rows = [lay.pack(two_rollers(model, axis - 1)) for axis in range(2, model.axis_count + 1)]
-        #: For compiled callers: parameters (M, P), masses at the web (M,) and state of `take`.
-        self.p, self.masses_kg = np.array(rows), np.array([mass_at_web_kg(p) for p in rows])
-        self.state = np.zeros(_POSITIONS + 2 * len(rows))
+        masses_kg = np.array([mass_at_web_kg(p) for p in rows])
+        #: For compiled callers.
+        self.arrays = RollerArrays(np.array(rows), masses_kg, np.zeros(1), *np.zeros((2, len(rows))))
+        self._table = table_of(self.arrays)
 
     def reset(self) -> None:
         """Take the next positions as the first."""
-        self.state[_HAS_POSITIONS] = 0.0
+        self.arrays.started[0] = 0.0
 
     def update(self, positions_m: Sequence[float], torques_Nm: Sequence[float], duration_s: float) -> None:
         """Update positions (N,) at the web and torques (N,) at the motors, `duration_s` after the last."""
-        _take(self.p, self.state, np.array(positions_m), np.array(torques_Nm), duration_s)
+        _take(np.array(positions_m), np.array(torques_Nm), duration_s, self._table)
 
     def masses_behind_kg(self, axis: int) -> list[float]:
         """Masses at the web of the rollers after that of `axis`, from 2."""
-        return [float(mass_kg) for mass_kg in self.masses_kg[axis - 1 :]]
+        return [float(mass_kg) for mass_kg in self.arrays.masses_kg[axis - 1 :]]
 
     def force_behind_N(self, axis: int) -> float:
         """Force at the web of the motors after that of `axis`, from 2, less their rollers' resistance."""
-        return float(_force_behind_N(self.masses_kg, self.state, axis))
+        return float(_force_behind_N(self.arrays, axis))
 
     def centre_m(self, axis: int) -> float:
         """Position of the centre of mass of the roller of `axis`, from 2, and all after it, at the web."""
-        assert self.state[_HAS_POSITIONS], "asked for before the first positions"
-        return float(_centre_m(self.masses_kg, self.state, axis))
+        assert self.arrays.started[0], "asked for before the first positions"
+        return float(_centre_m(self.arrays, axis))
 
 
 def two_rollers(model: ModelParameters, span: int, masses_behind_kg: Sequence[float] = ()) -> ModelParameters:

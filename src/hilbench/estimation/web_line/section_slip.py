@@ -13,8 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import COUNT, VECTOR, entry_point
-from hilbench.estimation.bank import Array
+from hilbench.compiled import COUNT, VECTOR, Vector, entry_point, viewed
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line import anomalies, block_means
 
@@ -32,7 +31,8 @@ _NOTHING, _CHANGES, _SLIPS = range(3)
 
 
 @entry_point(VECTOR, VECTOR, COUNT)
-def _look(s: Array, block: Array, what: int) -> int:
+def _look(detector: Vector, of_block: Vector, what: int) -> int:
+    s, block = viewed(detector, anomalies.ANOMALIES)[0], viewed(of_block, block_means.BLOCK)[0]
     if what == _BLOCK:
         anomalies.look(s, block)
     elif what == _SUSPEND:
@@ -55,7 +55,7 @@ class SectionSlip:
         """Reset for a released web; with `in_motion` its strain is unknown until it has left."""
         # Tensions by the model's E are passed in: the detector's own factor is 1.
         self._detector = anomalies.new_state(1.0, self._usual_N, self._length_m)
-        self._block = np.zeros(block_means.MOTION_N + 1)
+        self._block = np.zeros(1, block_means.BLOCK)
         self._corrected_N = 0.0
         self._begin()
         self._begins_s: deque[float] = deque(maxlen=_BEFORE)  # of the last blocks
@@ -74,7 +74,10 @@ class SectionSlip:
         return self._since_s
 
     def _report(self, what: int) -> None:
-        before, self._reported = self._reported, _look(self._detector, self._block, what)
+        before, self._reported = (
+            self._reported,
+            _look(self._detector.view(np.float64), self._block.view(np.float64), what),
+        )
         if before == _NOTHING and self._reported == _CHANGES:
             self._since_s = self._begins_s[0]
 
@@ -109,8 +112,8 @@ class SectionSlip:
         if abs(self._travel_m) < _BLOCK_SHARE * self._length_m:
             return
         block = self._block
-        block[block_means.FORCE_N], block[block_means.WEB_PER_PA] = self._sums_N / self._count
-        block[block_means.VELOCITY_M_S], block[block_means.DURATION_S] = self._travel_m / self._lasted_s, self._lasted_s
+        block["force_N"], block["web_per_Pa"] = self._sums_N / self._count
+        block["velocity_m_s"], block["duration_s"] = self._travel_m / self._lasted_s, self._lasted_s
         self._begins_s.append(time_s - self._lasted_s)
         self._report(_BLOCK)
         self._begin()

@@ -39,7 +39,6 @@ from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant
 from hilbench.estimation.web_line.unmodelled_effects import UnmodelledEffects
 from hilbench.plant.parameters import per_item
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
 
@@ -102,7 +101,8 @@ class SpanEstimator:
         self._delay_line = delay.new_line(cycle_s)
         self._probing_step = new_probing_step(model, config, balance.mass_kg, cycle_s)
         self._model = model
-        self._t = self._new_state()
+        self._of_span = self._new_state()
+        self._t = self._of_span[0]
         self.span = MeasuredSpan(balance, self._t)  #: with the web in it
         self._errors: UnmodelledEffects | None = None
         self._synchronizer: Synchronizer
@@ -112,22 +112,23 @@ class SpanEstimator:
         self._spare_errors, self._spare_bank = self._new_errors(), self._new_bank(ChangepointConfig())
         self.reset()
 
-    def _new_state(self) -> Vector:
-        t, c, config, balance = np.zeros(cycle.SIZE), cycle, self.config, self._balance
-        t[c.CYCLE_S], t[c.FORCE_PER_TORQUE], t[c.SECTION_M2] = (
+    def _new_state(self) -> NDArray[np.void]:
+        state, config, balance = np.zeros(1, cycle.SPAN), self.config, self._balance
+        t = state[0]
+        t["cycle_s"], t["force_per_torque"], t["section_m2"] = (
             self._cycle_s,
             balance.force_per_torque_per_m,
             balance.section_m2,
         )
-        t[c.SPAN_M], t[c.SPAN] = balance.span_length_m, self._line.first_axis
-        t[c.COMPENSATES] = config.torque_shift != "ignore"
-        t[c.FINDS_DELAY] = config.torque_delay == "estimate"
-        t[c.DELAYED] = config.torque_delay == "estimate" or self._model_delay_s != 0.0
+        t["span_m"], t["span"] = balance.span_length_m, self._line.first_axis
+        t["compensates"] = config.torque_shift != "ignore"
+        t["finds_delay"] = config.torque_delay == "estimate"
+        t["delayed"] = config.torque_delay == "estimate" or self._model_delay_s != 0.0
         transfer = config.transfer
-        t[c.TRANSFERS_STRAIN], t[c.TRANSFERS_AXES] = transfer.strain, transfer.axes
-        t[c.STRAIN_LIMIT], t[c.POSITION_LIMIT_M] = transfer.strain_limit, transfer.position_limit_m
-        t[c.VELOCITY_LIMIT_M_S] = transfer.velocity_limit_m_s
-        return t
+        t["transfers_strain"], t["transfers_axes"] = transfer.strain, transfer.axes
+        t["strain_limit"], t["position_limit_m"] = transfer.strain_limit, transfer.position_limit_m
+        t["velocity_limit_m_s"] = transfer.velocity_limit_m_s
+        return state
 
     def _new_errors(self) -> UnmodelledEffects:
         config, balance = self.config, self._balance
@@ -138,13 +139,13 @@ class SpanEstimator:
         return ChangepointSynchronizer(config, Plant.of(self._balance, self._initial_Pa))
 
     def _gather(self) -> None:
-        """Collect the current state vectors and the table of their addresses."""
+        """Collect the current state arrays and the table of their addresses."""
         errors, bank = self._errors or self._spare_errors, self._spare_bank
         if isinstance(self._synchronizer, ChangepointSynchronizer):
             bank = self._synchronizer
-        self._t[cycle.HAS_ERRORS] = self._errors is not None
-        self._vectors = cycle.SpanEstimatorVectors(
-            self._t,
+        self._t["has_errors"] = self._errors is not None
+        self._arrays = cycle.SpanEstimatorArrays(
+            self._of_span,
             self._plausibility.state,
             self._anomalies,
             self._shift,
@@ -153,20 +154,20 @@ class SpanEstimator:
             self._line.moduli,
             self._balance.vectors,
             errors.state,
-            bank.vectors,
+            bank.arrays,
             self._line.vectors,
             self._blocks,
         )
-        self._table = table_of(cycle.flat(self._vectors))
+        self._table = table_of(self._arrays)
 
     @property
     def table(self) -> NDArray[np.int64]:
-        """Addresses of the state vectors for `span_estimator_cycle.run_vectors`; replaced whenever the vectors are."""
+        """Addresses of the state arrays for `span_estimator_cycle.run_arrays`; replaced whenever the arrays are."""
         return self._table
 
     @property
-    def in_vectors(self) -> bool:
-        """True if a measurement was compared and no probing step is evaluated: all state is in the vectors."""
+    def in_arrays(self) -> bool:
+        """True if a measurement was compared and no probing step is evaluated: all state is in the arrays."""
         return self._balance.is_followed and self._probing_step is None
 
     @property
@@ -176,22 +177,22 @@ class SpanEstimator:
 
     def has_advanced(self) -> None:
         """Update cached values after cycles run entirely by compiled callers."""
-        if self._t[cycle.BANK]:
+        if self._t["bank"]:
             self._nuisances = None
 
     def reset(self) -> None:
         """Reset the estimate, with E as assumed at the start."""
-        t, c = self._t, cycle
+        t = self._t
         self._line.set_parameter("youngs_modulus_Pa", self._initial_Pa)
         if self.config.unmodelled_torque_Nm is None:
             self._errors = self._new_errors()
         self._look_anew()
-        t[c.MODULUS_PA], t[c.WEB_PER_PA] = self._initial_Pa, self._balance.section_m2 * self._strain_prev
+        t["modulus_Pa"], t["web_per_Pa"] = self._initial_Pa, self._balance.section_m2 * self._strain_prev
         self._begin(self.config.synchronizer, self._initial_Pa)
-        t[c.DELAY_S] = self._model_delay_s
-        t[c.RESIDUAL_NM] = t[c.USED] = t[c.SPLICED] = t[c.OTHER_WEB] = t[c.PROBLEM] = 0.0
-        t[c.SERIES_FACTOR] = t[c.END_FACTOR] = 1.0
-        t[c.SHIFT_NM] = 0.0
+        t["delay_s"] = self._model_delay_s
+        t["residual_Nm"] = t["used"] = t["spliced"] = t["other_web"] = t["problem"] = 0.0
+        t["series_factor"] = t["end_factor"] = 1.0
+        t["shift_Nm"] = 0.0
         self._state(Estimate(self._initial_Pa, inf))
         self.release()
 
@@ -207,11 +208,11 @@ class SpanEstimator:
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
         """Freeze adaptation of E and the plant errors while the cycle time is uncertain; strain tracking goes on."""
-        self._t[cycle.FROZEN] = frozen
+        self._t["frozen"] = frozen
 
     def set_cycle_time(self, cycle_s: float, known: Known) -> None:
         """Set the cycle time. The estimate is restored from `known`; the strain stays as measured."""
-        self._cycle_s = self._t[cycle.CYCLE_S] = cycle_s
+        self._cycle_s = self._t["cycle_s"] = cycle_s
         self._blocks = block_means.new_state(self._balance.mass_kg, cycle_s)
         self._delay_line = delay.new_line(cycle_s)
         self._probing_step = new_probing_step(self._model, self.config, self._balance.mass_kg, cycle_s)
@@ -227,15 +228,15 @@ class SpanEstimator:
     def release(self, strain_uncertainty: float = 0.0, webs: InitialStrains | None = None, place: int = 0) -> None:
         """Reset the web: strained as upstream but for an unknown share (relative). `webs`: initial strains of the line,
         where it has several spans; `place`: index of this span in them, from 0."""
-        t, c = self._t, cycle
+        t = self._t
         self._balance.reset()
-        self._forget(c.NEW_WEB)
-        t[c.MISSED_S] = t[c.MEASURED] = t[c.RUNS] = t[c.REFUSED] = t[c.REFUSED_M] = t[c.CREEP_RATIO] = t[c.FOUND] = 0.0
+        self._forget(cycle.NEW_WEB)
+        t["missed_s"] = t["measured"] = t["runs"] = t["refused"] = t["refused_m"] = t["creep_ratio"] = t["found"] = 0.0
         if self._probing_step is not None:
             self._probing_step.reset()
         if self._errors is not None:
             self._errors.release()
-        t[c.STRAIN_UNCERTAINTY] = strain_uncertainty
+        t["strain_uncertainty"] = strain_uncertainty
         self._search = InitialSearch(webs or initial_strains(self._model), place, strain_uncertainty)
         if strain_uncertainty > 0.0 and not isinstance(self._method, PidConfig | InputConfig):
             self._find_web()
@@ -246,10 +247,10 @@ class SpanEstimator:
         friction_share = 0.01 * self.config.model_errors.friction_pct
         self._search.begin(plant, self._strain_prev, friction_share)
         self._state_looked_for()
-        self._t[cycle.BANK] = 0.0  # until the method starts from the result
+        self._t["bank"] = 0.0  # until the method starts from the result
 
     def _forget(self, what: int) -> None:
-        cycle.forget(what, self._blocks, self._anomalies, self._shift, self._delay_line)
+        cycle.run_arrays(what, _NOTHING_MEASURED, self._table)
 
     def use(self, synchronizer: SynchronizerConfig | None) -> None:
         """Switch to another method (None: the configured one) from the present E, bumpless."""
@@ -267,23 +268,24 @@ class SpanEstimator:
         self._nuisances = self.estimate.nuisances
         self._method = config
         self._synchronizer = new_synchronizer(config, Plant.of(self._balance, youngs_modulus_Pa))
-        self._t[cycle.BANK] = 0.0  # until it has started
+        self._t["bank"] = 0.0  # until it has started
         self._gather()
         looks_for_it = not isinstance(config, PidConfig | InputConfig) and config.also.torque_offset_Nm > 0.0
         if self.config.unmodelled_torque_Nm is not None:
             unmodelled_Nm = 0.0 if looks_for_it else self.config.unmodelled_torque_Nm
-            self._t[cycle.UNMODELLED_N] = unmodelled_Nm * self._balance.force_per_torque_per_m
+            self._t["unmodelled_N"] = unmodelled_Nm * self._balance.force_per_torque_per_m
 
     def _state(self, estimate: Estimate) -> None:
         """Publish the method's estimate, with its nuisance parameters."""
         self._nuisances, self._input_strain = estimate.nuisances, estimate.upstream_strain
-        self._t[cycle.BLACK_BOX] = estimate.upstream_strain is not None
-        cycle.state(self._t, self._vectors.errors, estimate.youngs_modulus_Pa, estimate.deviation_Pa)
+        self._t["black_box"] = estimate.upstream_strain is not None
+        stated = estimate.youngs_modulus_Pa, estimate.deviation_Pa
+        cycle.run_arrays(cycle.STATE, (*map(float, stated), *_NOTHING_MEASURED[2:]), self._table)
 
     @property
     def estimate(self) -> Estimate:
         """Stated E with its deviation and nuisance parameters."""
-        modulus_Pa, deviation_Pa = self._t[cycle.MODULUS_PA : cycle.DEVIATION_PA + 1].tolist()
+        modulus_Pa, deviation_Pa = self.modulus_and_deviation_Pa
         nuisances = self._nuisances
         if nuisances is None:
             assert isinstance(self._synchronizer, ChangepointSynchronizer), "None is said of the bank alone"
@@ -294,7 +296,7 @@ class SpanEstimator:
     def modulus_and_deviation_Pa(self) -> tuple[float, float]:
         """Stated E and its deviation."""
         t = self._t
-        return t.item(cycle.MODULUS_PA), t.item(cycle.DEVIATION_PA)
+        return float(t["modulus_Pa"]), float(t["deviation_Pa"])
 
     @property
     def separable(self) -> bool:
@@ -305,61 +307,63 @@ class SpanEstimator:
 
     @property
     def _own_deviation_Pa(self) -> float:
-        return self._t.item(cycle.OWN_DEVIATION_PA)
+        return float(self._t["own_deviation_Pa"])
 
     @property
     def torque_shift_Nm(self) -> float:
         """Shift of the measured torque that has been found and is compensated."""
-        return self._t.item(cycle.SHIFT_NM)
+        return float(self._t["shift_Nm"])
 
     @property
     def residual_Nm(self) -> float:
         """Torque residual: measured, less the shift, less simulated."""
-        return self._t.item(cycle.RESIDUAL_NM)
+        return float(self._t["residual_Nm"])
 
     @property
     def problem(self) -> Problem | None:
         """Reason why the last measurement could not be used, if any."""
-        return PROBLEMS[int(self._t.item(cycle.PROBLEM))]
+        return PROBLEMS[int(self._t["problem"])]
 
     @property
     def refused(self) -> bool:
         """True if a measured state was implausible in the last cycle and was not transferred."""
-        return self._t.item(cycle.REFUSED) != 0.0
+        return bool(self._t["refused"] != 0.0)
 
     @property
     def diverged(self) -> bool:
         """True if the simulation has diverged: measured states refused for longer than `DIVERGED_S`, and until all web
         that was in the span has left it."""
         t = self._t
-        lasts = t.item(cycle.REFUSED) * self._cycle_s > cycle.DIVERGED_S
-        return lasts and t.item(cycle.REFUSED_M) > anomalies.PASSED_SPANS * self._balance.span_length_m
+        lasts = t["refused"] * self._cycle_s > cycle.DIVERGED_S
+        return bool(lasts and t["refused_m"] > anomalies.PASSED_SPANS * self._balance.span_length_m)
 
     @property
     def used(self) -> BalanceSample | None:
         """Balance sample that E was estimated from in the last cycle, uncorrected for unmodelled effects."""
-        if not self._t[cycle.USED]:
-            return None
-        return BalanceSample(*self._t[cycle.USED_M : cycle.USED_M_S + 1].tolist())
+        return self._balance_used if self._t["used"] else None
+
+    @property
+    def _balance_used(self) -> BalanceSample:
+        return BalanceSample(*[float(self._t[f"used_{name}"]) for name in ("m", "N", "per_Pa", "m_s")])
 
     @property
     def other_web_suspected(self) -> bool:
         """True if E may be changing because other web enters the span."""
-        return self._t.item(cycle.OTHER_WEB) != 0.0
+        return bool(self._t["other_web"] != 0.0)
 
     @other_web_suspected.setter
     def other_web_suspected(self, suspected: bool) -> None:
-        self._t[cycle.OTHER_WEB] = suspected
+        self._t["other_web"] = suspected
 
     @property
     def synchronized(self) -> bool:
         """True if E is known to `synchronized_pct`, the measured web is in the span, and its strain in the
         simulation."""
-        return _is_synchronized(self._t, self.config.synchronized_pct)
+        return _is_synchronized(self._of_span.view(np.recarray)[0], self.config.synchronized_pct)
 
     def become(self, relative_change: float) -> None:
         """Scale E by 1 + `relative_change`: a splice has passed, and all of the span is its web now."""
-        self._t[cycle.MODULUS_PA] *= 1.0 + relative_change
+        self._t["modulus_Pa"] *= 1.0 + relative_change
         self.use(self._method)
         if self._errors is not None:
             self._errors.release()
@@ -382,16 +386,16 @@ class SpanEstimator:
 
     def _go_back(self, known: Known) -> None:
         self._errors = deepcopy(known.errors)
-        self._t[cycle.SHIFT_NM], self._t[cycle.MODULUS_PA] = known.torque_shift_Nm, known.youngs_modulus_Pa
+        self._t["shift_Nm"], self._t["modulus_Pa"] = known.torque_shift_Nm, known.youngs_modulus_Pa
 
     @property
     def torque_undecided(self) -> bool:
         """True if the torque has changed and the cause, E or a torque shift, is still undecided."""
-        return _undecided(self._shift)
+        return _undecided(self._shift.view(np.recarray)[0])
 
     def miss(self) -> None:
         """Skip a cycle without measurement."""
-        self._t[cycle.MISSED_S] += self._cycle_s
+        self._t["missed_s"] += self._cycle_s
         self._forget(cycle.INTERRUPT)
         self.skip()
 
@@ -420,46 +424,45 @@ class SpanEstimator:
         self._balance.begin(x1_m, x2_m, strain_prev)
         others = (nan if centre_m is None else centre_m, nan if strain_next is None else strain_next)
         values = (x1_m, x2_m, torque_Nm, self._axis2.torque_Nm, strain_prev, F_next_N, *others, creep_ratio_prev)
-        stage = cycle.run_vectors(cycle.COMPARE, tuple(map(float, values)), self._table)
+        stage = cycle.run_arrays(cycle.COMPARE, tuple(map(float, values)), self._table)
         if stage == cycle.DONE:
             self.has_advanced()
         else:
             self.go_on_from(stage, strain_prev)
-        if self._t[cycle.MOVED]:
+        if self._t["moved"]:
             self._line.show()
 
     def go_on_from(self, stage: int, strain_prev: float) -> None:
         """Run the interpreted rest of a cycle from `stage` on, where a compiled caller stopped."""
-        t, c = self._t, cycle
-        if stage == c.UPDATE:
+        t = self._t
+        if stage == cycle.UPDATE:
             self._update(strain_prev)
-        elif stage in (c.HOLD, c.FOUND_WEB):
-            if stage == c.FOUND_WEB:
+        elif stage in (cycle.HOLD, cycle.FOUND_WEB):
+            if stage == cycle.FOUND_WEB:
                 self._look_at_found_web(strain_prev)
-                t[c.USED] = 0.0
+                t["used"] = 0.0
             self.skip()
             if self._search.is_on:
                 self._state_looked_for()
-        elif t[c.BANK]:
+        elif t["bank"]:
             self._nuisances = None
-        if stage != c.SHIFT:
-            stage = c.run_vectors(c.LOOK_FOR_SHIFT, _NOTHING_MEASURED, self._table)
-        if stage == c.SHIFT:
+        if stage != cycle.SHIFT:
+            stage = cycle.run_arrays(cycle.LOOK_FOR_SHIFT, _NOTHING_MEASURED, self._table)
+        if stage == cycle.SHIFT:
             self._take_out_shift()
-            c.run_vectors(c.TRANSFER, _NOTHING_MEASURED, self._table)
+            cycle.run_arrays(cycle.TRANSFER, _NOTHING_MEASURED, self._table)
 
     def _sample(self, strain_prev: float, force_N: float) -> SyncSample:
         """Sample of this cycle for a method, with this force in the balance."""
-        t, c = self._t, cycle
-        x2_m, _, web_per_Pa, velocity_m_s = t[c.USED_M : c.USED_M_S + 1].tolist()
-        sensitivity = t.item(c.SECTION_M2) * float(self._line.strain[0]) / t.item(c.FORCE_PER_TORQUE)
+        t = self._t
+        sensitivity = float(t["section_m2"]) * float(self._line.strain[0]) / float(t["force_per_torque"])
         return SyncSample(
             self._cycle_s,
-            t.item(c.TORQUE_NM),
-            t.item(c.TORQUE_SIM_NM),
+            float(t["torque_Nm"]),
+            float(t["torque_sim_Nm"]),
             sensitivity,
             strain_prev,
-            BalanceSample(x2_m, force_N, web_per_Pa, velocity_m_s),
+            replace(self._balance_used, force_N=force_N),
         )
 
     def _update(self, strain_prev: float) -> None:
@@ -467,34 +470,34 @@ class SpanEstimator:
         if self._search.is_on:  # the web of unknown strain has left the span
             self._believe_found(self._search.end())
         self._search.know()
-        t, c, method = self._t, cycle, self._synchronizer
-        if t[c.REBASED_PA]:
-            method.rebase(t.item(c.REBASED_PA))
-        t[c.WEB_PER_PA] = t[c.USED_PER_PA]
-        self._state(method.update(self._sample(strain_prev, t.item(c.CORRECTED_N))))
-        t[c.BANK] = isinstance(method, ChangepointSynchronizer) and method.is_compiled
+        t, method = self._t, self._synchronizer
+        if t["rebased_Pa"]:
+            method.rebase(float(t["rebased_Pa"]))
+        t["web_per_Pa"] = t["used_per_Pa"]
+        self._state(method.update(self._sample(strain_prev, float(t["corrected_N"]))))
+        t["bank"] = isinstance(method, ChangepointSynchronizer) and method.is_compiled
 
     def _state_looked_for(self) -> None:
         """State E as assumed, with the deviation of the search, until the web is known."""
-        looked_for_Pa = self._search.deviation_Pa(self._t.item(cycle.MODULUS_PA))
+        looked_for_Pa = self._search.deviation_Pa(float(self._t["modulus_Pa"]))
         self._state(replace(self.estimate, deviation_Pa=max(self._own_deviation_Pa, looked_for_Pa)))
 
     def _look_at_found_web(self, strain_prev: float) -> None:
         """Search E and strain of a web that was first seen running; the method starts once both, and the strain of the
         web that enters, are known."""
-        t, c, search = self._t, cycle, self._search
+        t, search = self._t, self._search
         enters = search.move(self._balance.sample.velocity_m_s, self._cycle_s)
-        t[c.STRAIN_UNCERTAINTY] = max(t.item(c.STRAIN_UNCERTAINTY), enters)
+        t["strain_uncertainty"] = max(float(t["strain_uncertainty"]), enters)
         if not search.is_on:
             return
-        sample = self._sample(strain_prev, t.item(c.USED_N)) if t[c.USED] else None
+        sample = self._sample(strain_prev, float(t["used_N"])) if t["used"] else None
         strain = float(self._balance.web.strain[0])
         found = search.look(sample, self._cycle_s, strain)
         if found is None:
             return
         passes = search.passes
         self._balance.web.set_state({"strain1": strain + found.strain_error})
-        t[c.STRAIN_UNCERTAINTY], t[c.FOUND] = 0.0, 1.0
+        t["strain_uncertainty"], t["found"] = 0.0, 1.0
         search.end()
         self._believe_found(found)
         if not passes:
@@ -521,13 +524,13 @@ class SpanEstimator:
 
         The result is used, and the remaining torque taken as a shift, if it is more certain than the present estimate.
         """
-        change, t, c = self._probing_step, self._t, cycle
-        if change is None or not t[c.MEASURED]:
+        change, t = self._probing_step, self._t
+        if change is None or not t["measured"]:
             return
-        if self.problem is not None or t[c.STRAIN_UNCERTAINTY] != 0.0 or self._input_strain is not None:
+        if self.problem is not None or t["strain_uncertainty"] != 0.0 or self._input_strain is not None:
             change.reset()
             return
-        now, torque_Nm, estimate = self._balance.sample, t.item(c.TORQUE_NM), self.estimate
+        now, torque_Nm, estimate = self._balance.sample, float(t["torque_Nm"]), self.estimate
         # The torque as measured: its correction may change.
         ratio = self._balance.force_per_torque_per_m
         shift_N = self.torque_shift_Nm * ratio
@@ -535,13 +538,13 @@ class SpanEstimator:
         known = change.update(measured, set_point_m_s, torque_Nm * ratio + shift_N, estimate.youngs_modulus_Pa)
         if known is None or not known.is_more_certain_than(estimate.youngs_modulus_Pa, estimate.deviation_Pa):
             return
-        t[c.SHIFT_NM], t[c.MODULUS_PA] = known.force_N / ratio, known.youngs_modulus_Pa
+        t["shift_Nm"], t["modulus_Pa"] = known.force_N / ratio, known.youngs_modulus_Pa
         # A probing step is conclusive: no other model errors are looked for from here on.
         self._errors = None
         self.use(self._method)
         # The web has not changed, only its estimate.
-        self._forget(c.SUSPEND)
-        t[c.UNMODELLED_N] = known.deviation_Pa * now.web_per_Pa
+        self._forget(cycle.SUSPEND)
+        t["unmodelled_N"] = known.deviation_Pa * now.web_per_Pa
         self._state(Estimate(known.youngs_modulus_Pa, self._own_deviation_Pa))
         change.believe(known.youngs_modulus_Pa)
 
@@ -551,10 +554,10 @@ class SpanEstimator:
 
     def _take_out_shift(self) -> None:
         """Compensate a torque shift from the next cycle on; E goes on from its value before the shift."""
-        t, shift = self._t, self._shift
-        more_Nm = shift.item(torque_shift.FOUND_N) / self._balance.force_per_torque_per_m
-        t[cycle.SHIFT_NM] += more_Nm
+        t, shift = self._t, self._shift[0]
+        more_Nm = shift["found_N"] / self._balance.force_per_torque_per_m
+        t["shift_Nm"] += more_Nm
         if abs(self.torque_shift_Nm) < _GONE * abs(more_Nm):
-            t[cycle.SHIFT_NM] = 0.0
-        t[cycle.MODULUS_PA] = shift[torque_shift.FOUND_PA]
+            t["shift_Nm"] = 0.0
+        t["modulus_Pa"] = shift["found_Pa"]
         self.use(self._method)

@@ -21,12 +21,12 @@ from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from enum import Enum
 from math import exp, inf
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, VECTOR, compiled, entry_point, interpreted
+from hilbench.compiled import MATRIX, VECTOR, Record, compiled, entry_point, interpreted, record_type
 from hilbench.estimation.web_line.balance import BalanceSample
 from hilbench.estimation.web_line.block_means import BLOCK_S, SAME_SPEED
 
@@ -50,27 +50,26 @@ _SHORT_M, _LEAST_SHARE = 0.3, 0.5
 
 #: Sums over a block: cycles so far, cycles of a block, forces, h (`balance`) as it seems, positions of the roller
 #: before the span; its first speed.
-COUNT, CYCLES, _FORCES_N, _WEBS, _TRAVELS_M, _FIRST_M_S = range(6)
-_SIZE = 6
+SUMS: Final = record_type("count", "cycles", "forces_N", "webs", "travels_m", "first_m_s")
 
 
 @compiled
-def interrupt(s: Vector) -> None:
+def interrupt(s: Record) -> None:
     """Start a new block; s: its sums."""
-    s[COUNT] = s[_FORCES_N] = s[_WEBS] = s[_TRAVELS_M] = s[_FIRST_M_S] = 0.0
+    s.count = s.forces_N = s.webs = s.travels_m = s.first_m_s = 0.0
 
 
 @compiled
-def collect(s: Vector, force_N: float, web_per_Pa: float, velocity_m_s: float, before_m: float) -> bool:
+def collect(s: Record, force_N: float, web_per_Pa: float, velocity_m_s: float, before_m: float) -> bool:
     """Add a cycle's balance, with h as it seems and the position of the roller before the span; True if the block is
     complete."""
-    if s[COUNT] == 0.0:
-        s[_FIRST_M_S] = velocity_m_s
-    s[_FORCES_N] += force_N
-    s[_WEBS] += web_per_Pa
-    s[_TRAVELS_M] += before_m
-    s[COUNT] += 1.0
-    return bool(s[COUNT] >= s[CYCLES])
+    if s.count == 0.0:
+        s.first_m_s = velocity_m_s
+    s.forces_N += force_N
+    s.webs += web_per_Pa
+    s.travels_m += before_m
+    s.count += 1.0
+    return bool(s.count >= s.cycles)
 
 
 #: Best fit of a shape over joint positions: squares explained, position index, change, and mean of the shape.
@@ -183,8 +182,10 @@ class SpliceFinder:
     def __init__(self, span_length_m: float, mass_kg: float, cycle_s: float) -> None:
         self._length_m = span_length_m
         self._mass_kg = mass_kg
-        self.state = np.zeros(_SIZE)  #: what is added up
-        self.state[CYCLES] = cycles = max(2, round(BLOCK_S / cycle_s))
+        cycles = max(2, round(BLOCK_S / cycle_s))
+        self.sums = np.zeros(1, SUMS)  #: for compiled callers
+        self.sums["cycles"] = cycles
+        self._sums = self.sums.view(np.recarray)[0]
         self._block_s = cycles * cycle_s
         self._every = max(1, round(_LOOK_S / self._block_s))
         self.reset()
@@ -199,22 +200,22 @@ class SpliceFinder:
         self._kind: _Kind | None = None
         self._joint: Joint | None = None
         self.suspects = False  #: something has changed that may be inside, and it is open yet what
-        _interrupt(self.state)
+        _interrupt(self._sums)
 
     def update(self, now: BalanceSample | None, before_m: float, seeming: float) -> Entered | None:
         """Take this cycle's balance (None: unusable), the position of the roller before the span in m, and the ratio of
         the tension by the apparent strain to that of the balance. Returns a splice when it is found or better known; it
         stays the same one until `reset`."""
         if now is None:
-            _interrupt(self.state)
+            _interrupt(self._sums)
             return None
-        if not _collect(self.state, now.force_N, now.web_per_Pa * seeming, now.velocity_m_s, before_m):
+        if not _collect(self._sums, now.force_N, now.web_per_Pa * seeming, now.velocity_m_s, before_m):
             return None
-        count, _, force_N, web, travel_m, first_m_s = self.state.tolist()
+        count, _, force_N, web, travel_m, first_m_s = self._sums.item()
         gained_N = self._mass_kg * (now.velocity_m_s - first_m_s) / ((count - 1) * self._block_s / count)
         tension_N = force_N / count - gained_N
         travel_m, web = travel_m / count, web / count
-        _interrupt(self.state)
+        _interrupt(self._sums)
         if not tension_N > 0.0:
             self._blocks.clear()
             return None

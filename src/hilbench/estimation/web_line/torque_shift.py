@@ -20,12 +20,14 @@ like one). When neither line fits it was something else.
 from __future__ import annotations
 
 from math import inf, sqrt
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hilbench.compiled import compiled, inlined
+from hilbench.compiled import Record, compiled, inlined
 from hilbench.estimation import ring
-from hilbench.estimation.bank import Array
+from hilbench.estimation.ring import RING
 from hilbench.estimation.web_line.block_means import SAME_SPEED
 
 #: Blocks used as reference before a change, and the least number of them.
@@ -57,50 +59,49 @@ _MOVED = 5.0
 _LEAST, _LONG, _LONGEST = 15, 150, 3000
 
 
-# State. Of a change: values before it (E of the line through the blocks before: stated E includes other effects) and
-# sums over the blocks since, of force f and web h; the result. Then four rings of the blocks before: force (N), web
-# (N/Pa), final speed (m/s) and stated E (Pa).
-(
-    _OPEN,
-    _MODULUS_PA,
-    _STATED_PA,
-    _WEB_PER_PA,
-    _WEB_VARIANCE_PER_PA2,
-    _VARIANCE_N2,
-    _SLOWNESS,  # factor on the noise before in a sum, relative to white noise
-    _HITS,
-    _LEANS_TO_MODULUS,
-    _HAS_FOLLOWED,
-    _WEB_LAST_PER_PA,  # of the block before
-    _COUNT,
-    _F,
-    _H,
-    _FF,
-    _FH,
-    _HH,
-    FOUND_N,
-    FOUND_PA,
-    _FORCES,
-    _WEBS,
-    _SPEEDS,
-    _STATED,
-) = range(23)
-_SIZE = 23
+#: State. Of a change: values before it (E of the line through the blocks before: stated E includes other effects) and
+#: sums over the blocks since, of force f and web h; the result. Then the blocks before: force, web, final speed and
+#: stated E of each.
+SHIFT: Final = np.dtype(
+    [
+        ("open", "f8"),
+        ("modulus_Pa", "f8"),
+        ("stated_Pa", "f8"),
+        ("web_per_Pa", "f8"),
+        ("web_variance_per_Pa2", "f8"),
+        ("variance_N2", "f8"),
+        ("slowness", "f8"),  # factor on the noise before in a sum, relative to white noise
+        ("hits", "f8"),
+        ("leans_to_modulus", "f8"),
+        ("has_followed", "f8"),
+        ("web_last_per_Pa", "f8"),  # of the block before
+        ("count", "f8"),
+        ("f", "f8"),
+        ("h", "f8"),
+        ("ff", "f8"),
+        ("fh", "f8"),
+        ("hh", "f8"),
+        ("found_N", "f8"),
+        ("found_Pa", "f8"),
+        ("before", RING),
+        ("forces_N", "f8", (_BEFORE,)),
+        ("webs_per_Pa", "f8", (_BEFORE,)),
+        ("speeds_m_s", "f8", (_BEFORE,)),
+        ("moduli_Pa", "f8", (_BEFORE,)),
+    ]
+)
 
 
 @compiled
-def reset(s: Array) -> None:
+def reset(s: Record) -> None:
     """Forget all blocks and an open change."""
-    s[_OPEN] = 0.0
-    ring.clear(s, int(s[_FORCES]))
-    ring.clear(s, int(s[_WEBS]))
-    ring.clear(s, int(s[_SPEEDS]))
-    ring.clear(s, int(s[_STATED]))
+    s.open = 0.0
+    ring.clear(s.before)
 
 
 @compiled
 def look(
-    s: Array,
+    s: Record,
     block_N: float,
     block_per_Pa: float,
     velocity_m_s: float,
@@ -108,44 +109,44 @@ def look(
     may_decide: bool,
     deviation_N: float,
 ) -> bool:
-    """Take the means of a complete block, and the stated E. True if a shift is certain: then FOUND_N is the force at
-    the web by which the torque has shifted, FOUND_PA the E stated before.
+    """Take the means of a complete block, and the stated E. True if a shift is certain: then `found_N` is the force at
+    the web by which the torque has shifted, `found_Pa` the E stated before.
 
     Without `may_decide` a certain shift is not yet returned: it may be something else. `deviation_N`: standard
     deviation of a constant error of the balance.
     """
-    before = int(s[_SPEEDS])
-    changed_speed = False
-    if ring.count(s, before) > 0:
-        first_m_s = ring.value(s, before, 0)
+    before, changed_speed = s.before, False
+    if before.count > 0:
+        first_m_s = s.speeds_m_s[before.first]
         changed_speed = not abs(velocity_m_s - first_m_s) <= SAME_SPEED * abs(first_m_s)
     if block_per_Pa <= 0.0 or changed_speed:
         reset(s)
-    elif s[_OPEN] != 0.0:
+    elif s.open != 0.0:
         return _explain(s, block_N, block_per_Pa, may_decide, deviation_N)
-    elif ring.count(s, before) < _ENOUGH or not _is_noticed(s, block_N, block_per_Pa):
-        ring.push(s, int(s[_FORCES]), block_N)
-        ring.push(s, int(s[_WEBS]), block_per_Pa)
-        ring.push(s, before, velocity_m_s)
-        ring.push(s, int(s[_STATED]), stated_Pa)
+    elif before.count < _ENOUGH or not _is_noticed(s, block_N, block_per_Pa):
+        at = ring.push(before, _BEFORE)
+        s.forces_N[at], s.webs_per_Pa[at] = block_N, block_per_Pa
+        s.speeds_m_s[at], s.moduli_Pa[at] = velocity_m_s, stated_Pa
     return False
 
 
 @compiled
-def _is_noticed(s: Array, block_N: float, block_per_Pa: float) -> bool:
+def _is_noticed(s: Record, block_N: float, block_per_Pa: float) -> bool:
     """True if the block differs from those before. The block itself is a mixture, and belongs to neither side."""
-    forces, webs, force_N, web_per_Pa, squares = int(s[_FORCES]), int(s[_WEBS]), 0.0, 0.0, 0.0
-    count = ring.count(s, forces)
+    forces_N, webs_per_Pa, force_N, web_per_Pa, squares = s.forces_N, s.webs_per_Pa, 0.0, 0.0, 0.0
+    count = s.before.count
     for i in range(count):
-        force_N += ring.value(s, forces, i)
-        web_per_Pa += ring.value(s, webs, i)
+        at = ring.place(s.before, _BEFORE, i)
+        force_N += forces_N[at]
+        web_per_Pa += webs_per_Pa[at]
     modulus_Pa = force_N / web_per_Pa
     tension_N = abs(modulus_Pa * block_per_Pa)
     before_N, products = 0.0, 0.0
     spread_per_Pa2 = 0.0
     for i in range(count):
-        residual_N = ring.value(s, forces, i) - modulus_Pa * ring.value(s, webs, i)
-        spread_per_Pa2 += (ring.value(s, webs, i) - web_per_Pa / count) ** 2
+        at = ring.place(s.before, _BEFORE, i)
+        residual_N = forces_N[at] - modulus_Pa * webs_per_Pa[at]
+        spread_per_Pa2 += (webs_per_Pa[at] - web_per_Pa / count) ** 2
         squares += residual_N * residual_N
         products += residual_N * before_N
         before_N = residual_N
@@ -154,50 +155,49 @@ def _is_noticed(s: Array, block_N: float, block_per_Pa: float) -> bool:
     difference_N = abs(block_N - modulus_Pa * block_per_Pa)
     if difference_N < max(_CHANGED_NOISES * sqrt(variance_N2), _CHANGED * tension_N):
         return False
-    s[_OPEN], s[_MODULUS_PA], s[_WEB_PER_PA], s[_VARIANCE_N2] = 1.0, modulus_Pa, web_per_Pa / count, variance_N2
-    s[_WEB_VARIANCE_PER_PA2] = spread_per_Pa2 / (count - 1)
-    s[_SLOWNESS] = (1.0 + alike) / (1.0 - alike)
-    s[_STATED_PA] = ring.value(s, int(s[_STATED]), count - 1)
-    s[_HITS], s[_LEANS_TO_MODULUS], s[_HAS_FOLLOWED] = _HIT, 0.0, 0.0
-    for place in (_COUNT, _F, _H, _FF, _FH, _HH):
-        s[place] = 0.0
+    s.open, s.modulus_Pa, s.web_per_Pa, s.variance_N2 = 1.0, modulus_Pa, web_per_Pa / count, variance_N2
+    s.web_variance_per_Pa2 = spread_per_Pa2 / (count - 1)
+    s.slowness = (1.0 + alike) / (1.0 - alike)
+    s.stated_Pa = s.moduli_Pa[ring.place(s.before, _BEFORE, count - 1)]
+    s.hits, s.leans_to_modulus, s.has_followed = _HIT, 0.0, 0.0
+    s.count = s.f = s.h = s.ff = s.fh = s.hh = 0.0
     return True
 
 
 @compiled
-def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float) -> bool:
-    if s[_HITS] > 0.0:
-        s[_HITS] -= 1.0
-        s[_WEB_LAST_PER_PA] = h
+def _explain(s: Record, f: float, h: float, may_decide: bool, deviation_N: float) -> bool:
+    if s.hits > 0.0:
+        s.hits -= 1.0
+        s.web_last_per_Pa = h
         return False
-    late_N = _LATE * s[_MODULUS_PA] * (h - s[_WEB_LAST_PER_PA])
-    weight = s[_VARIANCE_N2] / (s[_VARIANCE_N2] + late_N * late_N)
-    s[_WEB_LAST_PER_PA] = h
-    s[_COUNT] += weight
-    s[_F] += weight * f
-    s[_H] += weight * h
-    s[_FF] += weight * f * f
-    s[_FH] += weight * f * h
-    s[_HH] += weight * h * h
-    count = s[_COUNT]
+    late_N = _LATE * s.modulus_Pa * (h - s.web_last_per_Pa)
+    weight = s.variance_N2 / (s.variance_N2 + late_N * late_N)
+    s.web_last_per_Pa = h
+    s.count += weight
+    s.f += weight * f
+    s.h += weight * h
+    s.ff += weight * f * f
+    s.fh += weight * f * h
+    s.hh += weight * h * h
+    count = s.count
     if count < _LEAST or not may_decide:
         return False
     free = _free(s)
     # The oscillation of a shaft that was hit is on neither line: it counts as noise.
-    variance = s[_SLOWNESS] * max(s[_VARIANCE_N2], free / (count - 2.0))
+    variance = s.slowness * max(s.variance_N2, free / (count - 2.0))
     precision = variance / (deviation_N * deviation_N) if deviation_N != 0.0 else inf
     shift_N, of_shift = _of_shift(s, precision)
     of_shift, of_modulus = (of_shift - free) / variance, (_of_modulus(s, precision) - free) / variance
     if of_modulus - of_shift > _DECIDED and of_shift < _ACCEPTED and _has_moved(s):
-        s[FOUND_N], s[FOUND_PA] = shift_N, s[_STATED_PA]
+        s.found_N, s.found_Pa = shift_N, s.stated_Pa
         reset(s)
         return True
     better = of_shift - of_modulus
     # Once it has followed, a later set-point does not undo that.
     if _has_followed(s):
-        s[_HAS_FOLLOWED] = 1.0
-    likelier = better + _OFTENER * s[_HAS_FOLLOWED]
-    s[_LEANS_TO_MODULUS] = 1.0 if likelier > (_LEANS_NO_MORE if s[_LEANS_TO_MODULUS] != 0.0 else _LEANS) else 0.0
+        s.has_followed = 1.0
+    likelier = better + _OFTENER * s.has_followed
+    s.leans_to_modulus = 1.0 if likelier > (_LEANS_NO_MORE if s.leans_to_modulus != 0.0 else _LEANS) else 0.0
     enough = _SETTLED if count >= _LONG else _DECIDED
     settled = better > enough or min(of_shift, of_modulus) > _DECIDED
     if settled or count >= _LONGEST:
@@ -206,45 +206,45 @@ def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float)
 
 
 @inlined
-def _has_moved(s: Array) -> bool:
+def _has_moved(s: Record) -> bool:
     """True if the strain has changed by more than at a constant tension: its disturbances (upstream tension, torque of
     its roller) are in the force as well, and no line through them has the slope of the web."""
-    spread = s[_HH] / s[_COUNT] - (s[_H] / s[_COUNT]) ** 2
-    return bool(spread > _MOVED * s[_WEB_VARIANCE_PER_PA2])
+    spread = s.hh / s.count - (s.h / s.count) ** 2
+    return bool(spread > _MOVED * s.web_variance_per_Pa2)
 
 
 @inlined
-def _has_followed(s: Array) -> bool:
+def _has_followed(s: Record) -> bool:
     """True if the strain has changed since as a controlled tension requires with another E."""
-    strain = s[_H] / s[_COUNT] / s[_WEB_PER_PA] - 1.0
-    force = s[_F] / s[_COUNT] / (s[_MODULUS_PA] * s[_WEB_PER_PA]) - 1.0
+    strain = s.h / s.count / s.web_per_Pa - 1.0
+    force = s.f / s.count / (s.modulus_Pa * s.web_per_Pa) - 1.0
     return bool(abs(strain) > _FOLLOWED * (abs(force) + abs(strain)))
 
 
 @compiled
-def _of_modulus(s: Array, precision: float) -> float:
+def _of_modulus(s: Record, precision: float) -> float:
     """Squared residuals of f = E'·h + c with a small c; `precision`: variance of the noise over that of c; infinite: c
     = 0."""
-    through_origin = s[_FF] - s[_FH] * s[_FH] / s[_HH]
+    through_origin = s.ff - s.fh * s.fh / s.hh
     if precision == inf:
         return float(through_origin)
     # Least squares for c in addition to E', with c² weighed by its precision.
-    across = s[_F] - s[_FH] * s[_H] / s[_HH]
-    return float(through_origin - across * across / (s[_COUNT] - s[_H] * s[_H] / s[_HH] + precision))
+    across = s.f - s.fh * s.h / s.hh
+    return float(through_origin - across * across / (s.count - s.h * s.h / s.hh + precision))
 
 
 @compiled
-def _of_shift(s: Array, precision: float) -> tuple[float, float]:
+def _of_shift(s: Record, precision: float) -> tuple[float, float]:
     """Shift d of f = E·h + d, and the squared residuals. E was c/h smaller before: c as in `_of_modulus`."""
-    modulus_Pa, web_before_per_Pa = s[_MODULUS_PA], s[_WEB_PER_PA]
-    s_fh = s[_FH] - s[_F] * s[_H] / s[_COUNT]
-    s_hh = max(s[_HH] - s[_H] * s[_H] / s[_COUNT], 0.0)
-    s_ff = s[_FF] - s[_F] * s[_F] / s[_COUNT]
+    modulus_Pa, web_before_per_Pa = s.modulus_Pa, s.web_per_Pa
+    s_fh = s.fh - s.f * s.h / s.count
+    s_hh = max(s.hh - s.h * s.h / s.count, 0.0)
+    s_ff = s.ff - s.f * s.f / s.count
     least, held = modulus_Pa, 0.0
     if precision < inf:
         held = precision * web_before_per_Pa * web_before_per_Pa
         least = (s_fh + held * modulus_Pa) / (s_hh + held)
-    d = (s[_F] - least * s[_H]) / s[_COUNT]
+    d = (s.f - least * s.h) / s.count
     squares = s_ff - 2.0 * least * s_fh + least * least * s_hh
     if precision < inf:
         squares += held * (least - modulus_Pa) ** 2
@@ -253,25 +253,20 @@ def _of_shift(s: Array, precision: float) -> tuple[float, float]:
 
 
 @compiled
-def _free(s: Array) -> float:
+def _free(s: Record) -> float:
     """Squared residuals of f = E'·h + d'."""
-    s_ff = s[_FF] - s[_F] * s[_F] / s[_COUNT]
-    s_fh = s[_FH] - s[_F] * s[_H] / s[_COUNT]
-    s_hh = s[_HH] - s[_H] * s[_H] / s[_COUNT]
+    s_ff = s.ff - s.f * s.f / s.count
+    s_fh = s.fh - s.f * s.h / s.count
+    s_hh = s.hh - s.h * s.h / s.count
     return float(s_ff - s_fh * s_fh / s_hh if s_hh > 0.0 else s_ff)
 
 
 @compiled
-def undecided(s: Array) -> bool:
+def undecided(s: Record) -> bool:
     """True if a change has been open for long, and may equally be E or a shift."""
-    return bool(s[_OPEN] != 0.0 and s[_COUNT] >= _LONG and s[_LEANS_TO_MODULUS] == 0.0)
+    return bool(s.open != 0.0 and s.count >= _LONG and s.leans_to_modulus == 0.0)
 
 
-def new_state() -> Array:
+def new_state() -> NDArray[np.void]:
     """State of the torque-shift detector on the blocks of axis 2."""
-    size = ring.size(_BEFORE)
-    s = np.zeros(_SIZE + 4 * size)
-    for number, place in enumerate((_FORCES, _WEBS, _SPEEDS, _STATED)):
-        s[place] = _SIZE + number * size
-        ring.put(s, _SIZE + number * size, _BEFORE)
-    return s
+    return np.zeros(1, SHIFT)

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import VECTOR, compiled, entry_point, inlined, viewed
+from hilbench.compiled import VECTOR, entry_point, viewed
 from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.nuisance import Nuisance
@@ -123,18 +123,6 @@ def _wander(f: Record) -> None:
     ):
         for state in states:
             f["wander"][state], f["wander_s"][state] = share**2, time_s
-
-
-@inlined
-def record(state: Array) -> Record:
-    """Filter record in a state vector, for compiled callers."""
-    return viewed(state, FILTER)[0]
-
-
-@compiled
-def correction_N(state: Array) -> float:
-    """Force in the balance that is accepted as unmodelled effect."""
-    return float(record(state).correction_N)
 
 
 @entry_point(VECTOR)

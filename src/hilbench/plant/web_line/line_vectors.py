@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, INDICES, VECTOR, compiled, entry_point
+from hilbench.compiled import COUNT, INDICES, VECTOR, Reals, compiled, entry_point
 from hilbench.plant.web_line import kernel, laws, places
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
@@ -17,11 +17,11 @@ class LineVectors(NamedTuple):
     """Vectors of a `hilbench.plant.web_line.line.Line`, for compiled callers; described by `layout`, advanced by
     `kernel`."""
 
-    p: Vector  #: parameters
-    s: Vector  #: state
-    u: Vector  #: inputs
-    w: Vector  #: scratch space
-    out: Vector  #: measured and true values now (`Layout.columns`)
+    p: Reals  #: parameters
+    s: Reals  #: state
+    u: Reals  #: inputs
+    w: Reals  #: scratch space
+    out: Reals  #: measured and true values now (`Layout.columns`)
 
 
 @compiled

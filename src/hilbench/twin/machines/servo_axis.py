@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from math import inf, isnan, nan
+from typing import Final
+
+import numpy as np
 
 from hilbench.estimation.plausibility import Plausibility
-from hilbench.estimation.problems import Problem
+from hilbench.estimation.problems import PROBLEMS, Problem
 from hilbench.estimation.servo_axis.balance import ShaftSample
-from hilbench.estimation.servo_axis.inertia import COULOMB_SD, VISCOUS_SD, InertiaEstimator, Known, ShaftEstimate
+from hilbench.estimation.servo_axis.inertia import InertiaEstimator, Known, ShaftEstimate
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.fmu.shaft import FmuAxis
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.shaft import ServoAxis
-from hilbench.plant.web_line.layout import Vector
 from hilbench.processes import log
 from hilbench.topology.blocks import TwinConfig
 from hilbench.topology.signals import Shape
@@ -26,7 +28,8 @@ from hilbench.twin.machines.servo_axis_cycle import ShaftInVectors
 
 #: Speed above which the plant counts as running when the twin joins.
 _MOVES_RAD_S = 0.02
-_COULOMB, _VISCOUS = "coulomb_friction_Nm", "viscous_friction_Nm_s_per_rad"
+#: Outputs by the names of estimates and parameters.
+_SHOWN: Final = {"coulomb_friction_Nm": "coulomb_Nm", "viscous_friction_Nm_s_per_rad": "viscous_Nm_s_per_rad"}
 
 
 def twin(
@@ -73,6 +76,11 @@ class ServoAxisTwin:
         return self._estimate.separable
 
     @property
+    def problem(self) -> Problem | None:
+        """Reason why the last measurement could not be used, if any."""
+        return PROBLEMS[int(self._shows["problem"])]
+
+    @property
     def problems(self) -> Mapping[int, Problem | None]:
         """Reason why the last measurement could not be used, if any."""
         return {0: self.problem}
@@ -80,7 +88,9 @@ class ServoAxisTwin:
     def reset(self) -> None:
         """Reset to inertia and friction of the model, at rest."""
         shaft = self._model.shaft
-        self._found = {_COULOMB: shaft.coulomb_friction_Nm, _VISCOUS: shaft.viscous_friction_Nm_s_per_rad}
+        friction = nan, 0.0, 0.0, shaft.coulomb_friction_Nm, shaft.viscous_friction_Nm_s_per_rad
+        self._outputs = np.array([(0.0, *friction, 0.0, 0.0)], cycle.OUTPUTS)
+        self._shows = self._outputs[0]
         self._begin()
         self._simulate(self._estimate.inertia_kg_m2)
         self.plant.set_state({"x1_rad": 0.0, "v1_rad_s": 0.0, "tau1_Nm": 0.0})
@@ -91,14 +101,12 @@ class ServoAxisTwin:
         self._set_cycle(self._cycle_s)
         initial = self._model.inertia_kg_m2 * self.plant.inertia_factor
         self._estimate = ShaftEstimate(initial, 0.01 * self._config.inertia.initial_deviation_pct * initial, False)
-        self.problem: Problem | None = None
         self.shift_span = 0
-        self._residual_Nm = 0.0
 
     def _set_cycle(self, cycle_s: float) -> None:
         self._cycle_s = cycle_s
         self._plausibility = Plausibility(self._limit_Nm, 0.0, 0.0, cycle_s)
-        self._torque_before_Nm: float | None = None  # simulated
+        self._shows["before_Nm"] = nan
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
         """Freeze parameter adaptation; see `TwinMachine`."""
@@ -126,27 +134,29 @@ class ServoAxisTwin:
                 "tau1_Nm": torque_Nm if moves else 0.0,
             }
         )
-        self._torque_before_Nm = None
+        self._shows["before_Nm"] = nan
         self._kept = (self._estimator.known(),)
         return True
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
         """Update the estimator; the model gets its inertia and friction."""
         ((position_rad, torque_Nm),) = measured
-        simulated_Nm = self.ports[0].torque_Nm
-        self._residual_Nm = torque_Nm - simulated_Nm
-        self.problem = self._plausibility.problem(torque_Nm, 1.0, position_rad)
+        simulated_Nm, shows = self.ports[0].torque_Nm, self._shows
+        shows["residual_Nm"] = torque_Nm - simulated_Nm
+        shows["problem"] = self._plausibility.problem(torque_Nm, 1.0, position_rad) or 0
         if self.problem is not None or self._frozen:
-            self._torque_before_Nm = None
+            shows["before_Nm"] = nan
             self._estimate = self._estimator.hold(self._cycle_s)
             return True
-        ripple_Nm = 0.0
-        if self._torque_before_Nm is not None:
-            ripple_Nm = self.plant.outputs()["tau1_mean_Nm"] - 0.5 * (self._torque_before_Nm + simulated_Nm)
-        self._torque_before_Nm = simulated_Nm
+        ripple_Nm, before_Nm = 0.0, float(shows["before_Nm"])
+        if not isnan(before_Nm):
+            ripple_Nm = self.plant.outputs()["tau1_mean_Nm"] - 0.5 * (before_Nm + simulated_Nm)
+        shows["before_Nm"] = simulated_Nm
         shaft_Nm = torque_Nm - self.other_Nm
         self._estimate = self._estimator.update(ShaftSample(self._cycle_s, position_rad, shaft_Nm, ripple_Nm))
-        self._found |= {found.name: found.value for found in self._estimate.also if found.name in self._found}
+        for found in self._estimate.also:
+            if found.name in _SHOWN:
+                shows[_SHOWN[found.name]] = found.value
         self._simulate(self._estimate.inertia_kg_m2)
         # The angle of an unbalance is the encoder's: the simulated drive follows its speed, and drifts.
         self.plant.set_state({"x1_rad": position_rad})
@@ -155,12 +165,12 @@ class ServoAxisTwin:
     def _simulate(self, inertia_kg_m2: float) -> None:
         # The estimate includes the effect of the model's effects on the inertia.
         self.plant.set_parameter("inertia_kg_m2", inertia_kg_m2 / self.plant.inertia_factor)
-        for name, value in self._found.items():
-            self.plant.set_parameter(name, max(value, 0.0))
+        for name, shown in _SHOWN.items():
+            self.plant.set_parameter(name, max(float(self._shows[shown]), 0.0))
 
     def miss(self) -> None:
         """Skip a cycle without measurement."""
-        self._torque_before_Nm = None
+        self._shows["before_Nm"] = nan
         self._estimate = self._estimator.miss(self._cycle_s)
 
     @property
@@ -174,32 +184,21 @@ class ServoAxisTwin:
 
     def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> ShaftInVectors:
         """Runner in vectors; see `VectorMachine`."""
-        before_Nm = nan if self._torque_before_Nm is None else self._torque_before_Nm
-        estimates = {
-            cycle.RESIDUAL_NM: self._residual_Nm,
-            cycle.BEFORE_NM: before_Nm,
-            cycle.PROBLEM: float(self.problem or 0),
-            cycle.COULOMB: self._found[_COULOMB],
-            cycle.VISCOUS: self._found[_VISCOUS],
-        }
         return ShaftInVectors(
             self._estimator,
             self._plausibility,
             self.plant,
             self._cycle_s,
             0.01 * self._config.synchronized_pct,
-            estimates,
+            self._outputs,
             self._take_over,
             vectors,
             fallback,
         )
 
-    def _take_over(self, estimates: Vector) -> None:
-        """Take over the outputs of the vectors."""
-        self._estimate, self.problem = self._estimator.estimate, cycle.problem_of(estimates)
-        self._residual_Nm, before_Nm = estimates.item(cycle.RESIDUAL_NM), estimates.item(cycle.BEFORE_NM)
-        self._torque_before_Nm = None if isnan(before_Nm) else before_Nm
-        self._found = {_COULOMB: estimates.item(cycle.COULOMB), _VISCOUS: estimates.item(cycle.VISCOUS)}
+    def _take_over(self) -> None:
+        """Take over the estimate of the vectors."""
+        self._estimate = self._estimator.estimate
 
     def listen(self) -> None:
         """No-op: a shaft has no boundary inputs."""
@@ -219,14 +218,14 @@ class ServoAxisTwin:
     def published(self) -> tuple[float, ...]:
         """Inertia, dry friction, deviation of the inertia, simulated torque, its residual; deviation of the dry
         friction, viscous friction, its deviation."""
-        found, stated = self._estimate, self._estimator.stated
+        found, stated, shows = self._estimate, self._estimator.stated, self._shows
         return (
             found.inertia_kg_m2,
-            self._found[_COULOMB],
+            float(shows["coulomb_Nm"]),
             found.deviation_kg_m2,
             self.ports[0].torque_Nm,
-            self._residual_Nm,
-            stated.item(COULOMB_SD),
-            self._found[_VISCOUS],
-            stated.item(VISCOUS_SD),
+            float(shows["residual_Nm"]),
+            float(stated["coulomb_sd"]),
+            float(shows["viscous_Nm_s_per_rad"]),
+            float(stated["viscous_sd"]),
         )

@@ -361,7 +361,7 @@ class WebLineTwin:
         if self._others is not None or self.plant.changes_elasticity or self._must_come_back:
             return False
         # While it refuses measured states, the simulation may have to be reset.
-        return all(each.tracking.in_vectors and not each.tracking.refused for each in self._all)
+        return all(each.tracking.in_arrays and not each.tracking.refused for each in self._all)
 
     def warm_up_in_vectors(self) -> None:
         """Compile, or load, the functions for running in vectors."""

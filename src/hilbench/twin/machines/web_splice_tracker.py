@@ -11,15 +11,15 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import isinf
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hilbench.compiled import compiled
-from hilbench.estimation.web_line import span_estimator_cycle as cycle
+from hilbench.compiled import Record, compiled, record_type
 from hilbench.estimation.web_line import splices
 from hilbench.estimation.web_line.span_estimator import Known, SpanEstimator
 from hilbench.estimation.web_line.splices import Entered, Joint, SpliceFinder
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.splices import Piece
 
 #: Interval and reach of the checkpoints, s: a joint is found after it has come in.
@@ -28,26 +28,26 @@ _REMEMBERED_S, _LONGEST_S = 0.1, 3.0
 _ENDLESS_M = 1e9
 #: State of a tracker: whether there are joints; cycles, and their number per checkpoint; in the first span, apparent
 #: strain without a joint over the true one, and the strain of the previous cycle.
-_JOINTS, _CYCLE, _EVERY, _SEEMING, _STRAIN = range(5)
+TRACKER: Final = record_type("joints", "cycle", "every", "seeming", "strain")
 
 
 @compiled
-def passes(s: Vector, block: Vector, t: Vector, strain: float, before_m: float) -> bool:
+def passes(s: Record, sums: Record, t: Record, strain: float, before_m: float) -> bool:
     """Run `SpliceTracker.update` of a cycle without result or checkpoint; False, and nothing done, otherwise. s: state
-    of the splice tracker, block: that of its finder; t: of the first span's estimator, strain: as measured there,
+    of the splice tracker, sums: those of its finder; t: of the first span's estimator, strain: as measured there,
     before_m: position of the roller before it."""
-    used = t[cycle.USED] != 0.0
-    if s[_JOINTS] != 0.0 or s[_SEEMING] != 1.0 or (s[_CYCLE] + 1.0) % s[_EVERY] == 0.0:
+    used = t.used != 0.0
+    if s.joints != 0.0 or s.seeming != 1.0 or (s.cycle + 1.0) % s.every == 0.0:
         return False
-    if used and block[splices.COUNT] + 1.0 >= block[splices.CYCLES]:
+    if used and sums.count + 1.0 >= sums.cycles:
         return False
-    s[_CYCLE] += 1.0
-    s[_STRAIN] = strain
+    s.cycle += 1.0
+    s.strain = strain
     if used:
-        web_per_Pa = t[cycle.USED_PER_PA] * (1.0 / t[cycle.SERIES_FACTOR])
-        splices.collect(block, t[cycle.USED_N], web_per_Pa, t[cycle.USED_M_S], before_m)
+        web_per_Pa = t.used_per_Pa * (1.0 / t.series_factor)
+        splices.collect(sums, t.used_N, web_per_Pa, t.used_m_s, before_m)
     else:
-        splices.interrupt(block)
+        splices.interrupt(sums)
     return True
 
 
@@ -84,21 +84,22 @@ class SpliceTracker:
         first = trackings[0]
         self._finder = SpliceFinder(first.span.length_m, first.span.mass_kg, cycle_s)
         self._cycle_s = cycle_s
-        self._state = np.zeros(_STRAIN + 1)
-        self._state[_EVERY] = max(1, round(_REMEMBERED_S / cycle_s))
+        self._tracker = np.zeros(1, TRACKER)
+        self._state = self._tracker[0]
+        self._state["every"] = max(1, round(_REMEMBERED_S / cycle_s))
         #: Checkpoints of the first span, by the position of the roller before it, m.
         self._memories: deque[tuple[float, Known]] = deque(maxlen=round(_LONGEST_S / _REMEMBERED_S))
         self.reset()
 
     @property
-    def vectors(self) -> tuple[Vector, Vector]:
-        """States of the tracker and of its finder, for compiled callers of `passes`."""
-        return self._state, self._finder.state
+    def arrays(self) -> tuple[NDArray[np.void], NDArray[np.void]]:
+        """State of the tracker and sums of its finder, for compiled callers of `passes`."""
+        return self._tracker, self._finder.sums
 
     def reset(self) -> None:
         """Forget all joints: the web is uniform."""
         self._look_anew()
-        self._state[_JOINTS] = 0.0
+        self._state["joints"] = 0.0
         for span in self._spans:
             if span.joints:
                 span.joints.clear()
@@ -106,7 +107,7 @@ class SpliceTracker:
 
     def _look_anew(self) -> None:
         self._finder.reset()
-        self._state[_SEEMING], self._state[_STRAIN] = 1.0, 0.0
+        self._state["seeming"], self._state["strain"] = 1.0, 0.0
         self._memories.clear()
         self._before: Known | None = None
 
@@ -126,12 +127,12 @@ class SpliceTracker:
                 self._hand_on(span, behind, positions_m[place], positions_m[place + 1])
         if entered is None and self._seeming != 1.0 and not first.joints:
             self._look_anew()
-        self._state[_JOINTS] = any(span.joints for span in self._spans)
-        self._state[_STRAIN] = first.tracking.span.strain
+        self._state["joints"] = any(span.joints for span in self._spans)
+        self._state["strain"] = first.tracking.span.strain
 
     @property
     def _seeming(self) -> float:
-        return self._state.item(_SEEMING)
+        return float(self._state["seeming"])
 
     def _enter(self, first: _Span, entered: Entered) -> None:
         """Enter a joint that has been found, is better known, or was none."""
@@ -141,7 +142,7 @@ class SpliceTracker:
         tracking.believe(known, tracking.span.strain * self._seeming * entered.strain_ratio)
         first.joints = [] if entered.joint is None else [_Inside(entered.joint)]
         first.put()
-        self._state[_SEEMING] = 1.0 / entered.strain_ratio
+        self._state["seeming"] = 1.0 / entered.strain_ratio
 
     def _known_before(self, joint: Joint | None) -> Known:
         """Checkpoint from before a joint came in; that of the first one is kept as long as it is inside."""
@@ -152,19 +153,19 @@ class SpliceTracker:
         return self._before
 
     def _remember(self, first: _Span, at_m: float) -> None:
-        self._state[_CYCLE] += 1.0
-        if self._state[_CYCLE] % self._state[_EVERY] == 0.0 and not first.joints and first.tracking.used is not None:
+        self._state["cycle"] += 1.0
+        if self._state["cycle"] % self._state["every"] == 0.0 and not first.joints and first.tracking.used is not None:
             self._memories.append((at_m, first.tracking.known()))
 
     def _follow_seeming(self, first: _Span) -> None:
         """Update the apparent strain without a joint: as if all web in the span were alike."""
-        tracking, before = first.tracking, self._state.item(_STRAIN)
+        tracking, before = first.tracking, float(self._state["strain"])
         strain, now = tracking.span.strain, tracking.used
         if not first.joints or now is None or not strain > 0.0:
             return
         share = abs(now.velocity_m_s) * self._cycle_s / tracking.span.length_m
         seems = self._seeming * before
-        self._state[_SEEMING] = (seems + strain - before + share * (tracking.span.leaving_strain - seems)) / strain
+        self._state["seeming"] = (seems + strain - before + share * (tracking.span.leaving_strain - seems)) / strain
 
     def _hand_on(self, span: _Span, behind: _Span | None, before_m: float, behind_m: float) -> None:
         """Move joints that have passed a span to the next one; a span filled by the new web takes its E."""

@@ -12,51 +12,53 @@ All filters are stepped together, each in a column of its own.
 from __future__ import annotations
 
 from math import log, pi
+from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import compiled, inlined
-from hilbench.estimation.bank import Array, Places
+from hilbench.compiled import Record, compiled, inlined
+from hilbench.estimation.bank import Array, BankArrays, Places
 from hilbench.estimation.correction import correct
 
 X, V, E, RATE, OFFSET, VISCOUS, DRY, MASS = range(8)
 SIZE = 8
 #: Nuisance parameters, estimated in addition to E.
 NUISANCES = (OFFSET, VISCOUS, DRY, MASS)
-#: Inputs of a step, in this order.
-(
-    DURATION_S,
-    MASS_KG,
-    FORCE_N,
-    WEB_N,  # tension at the reference E
-    FORCE_PER_TORQUE,
-    SPEED_M_S,
-    ACCELERATION_M_S2,  # smoothed, for the error of the mass
-    FORCE_VARIANCE,
-    E_VARIANCE_PER_S,
-    POSITION_M,
-    POSITION_VARIANCE,
-    PRIORS,  # prior deviations of the nuisance parameters, in the order of the state
-) = range(12)
-INPUTS = PRIORS + len(NUISANCES)
+#: Inputs of a step.
+INPUTS: Final = np.dtype(
+    [
+        ("duration_s", "f8"),
+        ("mass_kg", "f8"),
+        ("force_N", "f8"),
+        ("web_N", "f8"),  # tension at the reference E
+        ("force_per_torque", "f8"),
+        ("speed_m_s", "f8"),
+        ("acceleration_m_s2", "f8"),  # smoothed, for the error of the mass
+        ("force_variance", "f8"),
+        ("E_variance_per_s", "f8"),
+        ("position_m", "f8"),
+        ("position_variance", "f8"),
+        ("priors", "f8", (len(NUISANCES),)),  # prior deviations, in the order of the state
+    ]
+)
 #: Time in which a nuisance parameter may wander through its prior: a working day. Were it faster, a slow change of
 #: tension could not be separated from E.
 _WANDER_S = 36000.0
 
 
 @compiled
-def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, likelihoods: Array) -> None:
-    """Predict all filters over one cycle and correct them by the position.
+def step(b: BankArrays, u: Record) -> None:
+    """Predict all filters over one cycle and correct them by the position; u: `INPUTS`.
 
-    z (SIZE, H), p (SIZE, SIZE, H): means and covariances of H filters; u (INPUTS,); places: indices of their states, X
-    to RATE and the estimated NUISANCES, the others are 0; g (SIZE,) and rows (SIZE + 3, H): scratch, whose last two
-    rows return innovations and their variances; likelihoods (H,) returns the log likelihoods.
+    Their states are X to RATE and the estimated NUISANCES, the others are 0. Rows SIZE + 1 and SIZE + 2 of the scratch
+    return the innovations and their variances.
     """
-    dt, mass, speed, count, size = u[DURATION_S], u[MASS_KG], u[SPEED_M_S], z.shape[1], z.shape[0]
+    z, p, places, rows, g = b.z, b.p, b.places, b.work, b.work[SIZE + 3 :, 0]
+    dt, mass, speed, count, size = u.duration_s, u.mass_kg, u.speed_m_s, z.shape[1], z.shape[0]
     sign = 1.0 if speed > 0.0 else (-1.0 if speed < 0.0 else 0.0)
-    g[E], g[OFFSET], g[VISCOUS] = -u[WEB_N] / mass, -u[FORCE_PER_TORQUE] / mass, -speed / mass
-    g[DRY], g[MASS] = -sign / mass, -u[ACCELERATION_M_S2]
-    half, own, beside = 0.5 * dt * dt, u[FORCE_N] / mass, rows[size + 1]
+    g[E], g[OFFSET], g[VISCOUS] = -u.web_N / mass, -u.force_per_torque / mass, -speed / mass
+    g[DRY], g[MASS] = -sign / mass, -u.acceleration_m_s2
+    half, own, beside = 0.5 * dt * dt, u.force_N / mass, rows[size + 1]
     rate = rows[size + 2]
     for i in range(count):
         rate[i] = own + g[E] * z[E, i]
@@ -93,17 +95,17 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
             p[j, E, i] += dt * p[j, RATE, i]
     by_x, by_v = half / mass, dt / mass
     for i in range(count):
-        p[X, X, i] += by_x * by_x * u[FORCE_VARIANCE]
-        p[X, V, i] += by_x * by_v * u[FORCE_VARIANCE]
-        p[V, X, i] += by_x * by_v * u[FORCE_VARIANCE]
-        p[V, V, i] += by_v * by_v * u[FORCE_VARIANCE]
-        p[E, E, i] += dt * u[E_VARIANCE_PER_S]
+        p[X, X, i] += by_x * by_x * u.force_variance
+        p[X, V, i] += by_x * by_v * u.force_variance
+        p[V, X, i] += by_x * by_v * u.force_variance
+        p[V, V, i] += by_v * by_v * u.force_variance
+        p[E, E, i] += dt * u.E_variance_per_s
     # Nuisance parameters wander within their prior: weak evidence is forgotten again, so that inseparable ones keep
     # their prior deviation, and E with them.
     keep = 1.0 - dt / _WANDER_S
     for m in range(OFFSET, len(places)):
         j = places[m]
-        prior = u[PRIORS + j - OFFSET]
+        prior = u.priors[j - OFFSET]
         if prior > 0.0:
             for i in range(count):
                 z[j, i] *= keep
@@ -117,11 +119,11 @@ def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, li
                 p[j, j, i] += 2.0 * dt / _WANDER_S * prior * prior
     innovation, variance = rows[size + 1], rows[size + 2]
     for i in range(count):
-        innovation[i] = u[POSITION_M] - z[X, i]
-        variance[i] = p[X, X, i] + u[POSITION_VARIANCE]
+        innovation[i] = u.position_m - z[X, i]
+        variance[i] = p[X, X, i] + u.position_variance
     correct(z, p, rows, places, X, innovation, variance)
     for i in range(count):
-        likelihoods[i] = -0.5 * (innovation[i] * innovation[i] / variance[i] + log(2.0 * pi * variance[i]))
+        b.likelihoods[i] = -0.5 * (innovation[i] * innovation[i] / variance[i] + log(2.0 * pi * variance[i]))
 
 
 @inlined
@@ -150,11 +152,6 @@ def spread_of_e(p: Array, i: int) -> float:
         if p[j, j, i] > 0.0:
             variance -= p[E, j, i] * p[E, j, i] / p[j, j, i]
     return float(max(variance, 0.0))
-
-
-def places_of(priors: Array) -> Places:
-    """Indices of a filter's states; `priors`: deviations of NUISANCES, 0 of one that is not estimated."""
-    return np.array([X, V, E, RATE, *(np.flatnonzero(priors) + OFFSET)], np.int64)
 
 
 def new_filter(z: Array, p: Array, i: int, position_m: float, modulus_deviation: float, priors: Array) -> None:
