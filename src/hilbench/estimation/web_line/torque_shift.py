@@ -10,8 +10,9 @@ c + d.
 Strain changes before the change, other than the loop's, are no evidence: whether they go with the force or not, no line
 through them has the slope of the web. A shift is found only where the strain has moved by more than that.
 
-Slow oscillation before the change, as of a tension upstream, is no white noise of the blocks: it counts as many times
-as the blocks before are correlated.
+Slow oscillation, as of a tension upstream or of neighbouring spans that settle, is no white noise of the blocks: it
+counts as many times as the blocks before, or since, are correlated (variance of a mean of correlated samples; since the
+change by the von Neumann ratio of the residuals).
 
 Both are searched in block means (`block_means`). No shift is searched while the speed changes (an inertia error looks
 like one). When neither line fits it was something else.
@@ -74,13 +75,17 @@ SHIFT: Final = np.dtype(
         ("hits", "f8"),
         ("leans_to_modulus", "f8"),
         ("has_followed", "f8"),
-        ("web_last_per_Pa", "f8"),  # of the block before
+        ("last_N", "f8"),  # force and web of the block before
+        ("web_last_per_Pa", "f8"),
         ("count", "f8"),
         ("f", "f8"),
         ("h", "f8"),
         ("ff", "f8"),
         ("fh", "f8"),
         ("hh", "f8"),
+        ("dff", "f8"),  # of their changes from block to block
+        ("dfh", "f8"),
+        ("dhh", "f8"),
         ("found_N", "f8"),
         ("found_Pa", "f8"),
         ("before", RING),
@@ -160,7 +165,7 @@ def _is_noticed(s: Record, block_N: float, block_per_Pa: float) -> bool:
     s.slowness = (1.0 + alike) / (1.0 - alike)
     s.stated_Pa = s.moduli_Pa[ring.place(s.before, _BEFORE, count - 1)]
     s.hits, s.leans_to_modulus, s.has_followed = _HIT, 0.0, 0.0
-    s.count = s.f = s.h = s.ff = s.fh = s.hh = 0.0
+    s.count = s.f = s.h = s.ff = s.fh = s.hh = s.dff = s.dfh = s.dhh = 0.0
     return True
 
 
@@ -170,9 +175,14 @@ def _explain(s: Record, f: float, h: float, may_decide: bool, deviation_N: float
         s.hits -= 1.0
         s.web_last_per_Pa = h
         return False
-    late_N = _LATE * s.modulus_Pa * (h - s.web_last_per_Pa)
+    df, dh = f - s.last_N, h - s.web_last_per_Pa
+    late_N = _LATE * s.modulus_Pa * dh
     weight = s.variance_N2 / (s.variance_N2 + late_N * late_N)
-    s.web_last_per_Pa = h
+    s.last_N, s.web_last_per_Pa = f, h
+    if s.count > 0.0:
+        s.dff += weight * df * df
+        s.dfh += weight * df * dh
+        s.dhh += weight * dh * dh
     s.count += weight
     s.f += weight * f
     s.h += weight * h
@@ -182,9 +192,11 @@ def _explain(s: Record, f: float, h: float, may_decide: bool, deviation_N: float
     count = s.count
     if count < _LEAST or not may_decide:
         return False
-    free = _free(s)
-    # The oscillation of a shaft that was hit is on neither line: it counts as noise.
-    variance = s.slowness * max(s.variance_N2, free / (count - 2.0))
+    free, changes_N2 = _free(s)
+    # The oscillation of a shaft that was hit, and of spans that settle, is on neither line: it counts as noise.
+    alike = min(max(1.0 - 0.5 * changes_N2 / free, 0.0), _MOST_ALIKE) if free > 0.0 else 0.0
+    slowness = max(s.slowness, (1.0 + alike) / (1.0 - alike))
+    variance = max(s.slowness * s.variance_N2, slowness * free / (count - 2.0))
     precision = variance / (deviation_N * deviation_N) if deviation_N != 0.0 else inf
     shift_N, of_shift = _of_shift(s, precision)
     of_shift, of_modulus = (of_shift - free) / variance, (_of_modulus(s, precision) - free) / variance
@@ -253,12 +265,14 @@ def _of_shift(s: Record, precision: float) -> tuple[float, float]:
 
 
 @compiled
-def _free(s: Record) -> float:
-    """Squared residuals of f = E'·h + d'."""
+def _free(s: Record) -> tuple[float, float]:
+    """Squared residuals of f = E'·h + d', and their squared changes from block to block."""
     s_ff = s.ff - s.f * s.f / s.count
     s_fh = s.fh - s.f * s.h / s.count
     s_hh = s.hh - s.h * s.h / s.count
-    return float(s_ff - s_fh * s_fh / s_hh if s_hh > 0.0 else s_ff)
+    slope_Pa = s_fh / s_hh if s_hh > 0.0 else 0.0
+    changes_N2 = s.dff - 2.0 * slope_Pa * s.dfh + slope_Pa * slope_Pa * s.dhh
+    return s_ff - slope_Pa * s_fh, changes_N2
 
 
 @compiled
