@@ -386,9 +386,8 @@ def _print(by_hand: SetUpDrive, *, as_json: bool) -> None:
         print_json({**asdict(status), "lacking": lacking})
         return
     print(f"{status.state}  (statusword {status.statusword:04X}h: {', '.join(status.flags) or 'no flags'})")
-    print(
-        f"mode {_or_dash(status.mode)}, error code {'-' if status.error_code is None else f'{status.error_code:04X}h'}"
-    )
+    of_drive = "-" if status.mode is None else str(status.mode)
+    print(f"mode {of_drive}, error code {'-' if status.error_code is None else f'{status.error_code:04X}h'}")
     print(", ".join(text for text in _actual_values(status) if text) or "neither position, velocity nor torque")
     if by_hand.without_units:
         print(f"its units are not known: {by_hand.without_units}")
@@ -406,7 +405,3 @@ def _actual_values(status: DriveStatus) -> Iterator[str]:
     ):
         if units is not None:
             yield f"{units} units" if value is None else f"{value:.5g} {name} ({units} units)"
-
-
-def _or_dash(value: int | None) -> str:
-    return "-" if value is None else str(value)
