@@ -27,6 +27,18 @@ def test_a_bench_starts_without_the_libraries_of_recordings_and_of_its_check() -
     assert ended.returncode == 0, ended.stderr
 
 
+def test_what_attaches_to_a_bus_loads_no_library_of_recordings() -> None:
+    program = """if True:
+        import sys
+        import hilbench.apps.canopen_tools.attach, hilbench.apps.conformance.examine
+        import hilbench.apps.devices.serve, hilbench.apps.gateway.session, hilbench.apps.monitor.changes
+        early = {"pandas", "asammdf"} & set(sys.modules)
+        assert not early, early
+    """
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
 def test_a_command_that_runs_a_bench_with_processes_loads_neither_hardware_nor_what_one_process_runs_on() -> None:
     program = """if True:
         import sys

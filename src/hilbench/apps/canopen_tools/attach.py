@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,8 @@ import canopen
 from hilbench.apps.canopen_tools.eds_match import find_eds
 from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import SDO_TIMEOUT_S
-from hilbench.can.open import BusAddress, open_python_can
+from hilbench.can.link import Link
+from hilbench.can.open import BusAddress, open_link, open_python_can
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.master import Master
 from hilbench.canopen.master_guard import mastery
@@ -25,13 +26,44 @@ if TYPE_CHECKING:  # the models take their time to import; a command without a c
 MASTER_ID = 127
 
 
-def config_and_bus(config: Path | None, bus: str | None) -> tuple[ExperimentConfig | None, BusAddress]:
-    """The config, where one is given, and the bus as it runs. Raises UnusableInputError."""
-    if config is None:
-        return None, BusAddress.parse(bus or "embedded").as_it_runs()
+class BusSession(ExitStack):
+    """A command on a bus as it runs: what is opened through it is closed when it is left. `bench`: None without a
+    config. Raises UnusableInputError."""
 
-    loaded = load_config(config, bus=bus).config
-    return loaded, loaded.bus_address.as_it_runs()
+    def __init__(self, config: Path | None, bus: str | None) -> None:
+        super().__init__()
+        self.bench = None if config is None else load_config(config, bus=bus).config
+        address = BusAddress.parse(bus or "embedded") if self.bench is None else self.bench.bus_address
+        self.bus = address.as_it_runs()
+
+    def be_only_master(self, what: str, *, force: bool) -> None:
+        """Enter `only_master`."""
+        self.enter_context(only_master(self.bus, self.bench, what, force=force))
+
+    def link(self) -> Link:
+        """Open a link of its own."""
+        link = open_link(self.bus)
+        self.callback(link.close)
+        return link
+
+    def reader(self, timeout_s: float) -> SdoClient:
+        """Open what reads objects of any node, by raw bytes."""
+        return self.enter_context(SdoClient(open_python_can(self.bus), timeout_s))
+
+    def device(
+        self, node: str, eds: Path, timeout_s: float = SDO_TIMEOUT_S, dcf: Path | None = None
+    ) -> tuple[Master, int, str, canopen.ObjectDictionary]:
+        """A master that knows a node, with id, name and object dictionary of it; raises as `node_on_bus`."""
+        return self.known(*node_on_bus(node, self.bench, self.bus, eds, dcf), timeout_s)
+
+    def known(
+        self, node_id: int, name: str, od: canopen.ObjectDictionary, timeout_s: float = SDO_TIMEOUT_S
+    ) -> tuple[Master, int, str, canopen.ObjectDictionary]:
+        """The same for a node whose description is known."""
+        master = Master(open_python_can(self.bus), timeout_s)
+        self.callback(master.close)
+        master.add(node_id, od, name)
+        return master, node_id, name, od
 
 
 def only_master(
@@ -108,12 +140,3 @@ def left_out(error: UnusableInputError) -> None:
 def is_the_bench(node: str, config: ExperimentConfig | None) -> bool:
     """Whether NODE is the bench itself, whose objects are there for an operator to write."""
     return config is not None and node in ("bench", str(config.master.node_id))
-
-
-def known_to_master(
-    bus: BusAddress, node_id: int, od: canopen.ObjectDictionary, name: str, timeout_s: float = SDO_TIMEOUT_S
-) -> Master:
-    """A master that knows this node. Close it."""
-    master = Master(open_python_can(bus), timeout_s)
-    master.add(node_id, od, name)
-    return master

@@ -35,19 +35,17 @@ def boot(
 
     Example: hilbench boot network/master.dcf --bus socketcan:can0
     """
-    from hilbench.apps.canopen_tools.attach import config_and_bus, only_master
+    from hilbench.apps.canopen_tools.attach import BusSession
     from hilbench.can.open import open_python_can
     from hilbench.canopen.master import Master
     from hilbench.canopen.network_boot import boot_network, read_plan
 
     plan = read_plan(file)
-    _, address = config_and_bus(None, bus)
-    with only_master(address, None, f"boot {file.name}", force=force):
-        master = Master(open_python_can(address), _SDO_TIMEOUT_S)
-        try:
-            found = boot_network(master, plan, timeout_s, lambda booted: None if json else print(_line(booted)))
-        finally:
-            master.close()
+    with BusSession(None, bus) as on:
+        on.be_only_master(f"boot {file.name}", force=force)
+        master = Master(open_python_can(on.bus), _SDO_TIMEOUT_S)
+        on.callback(master.close)
+        found = boot_network(master, plan, timeout_s, lambda booted: None if json else print(_line(booted)))
     failed = [booted for booted in found if booted.error is not None]
     mandatory = any(booted.slave.mandatory for booted in failed)
     if json:

@@ -187,42 +187,29 @@ def _drive(
     *,
     force: bool,
 ) -> Iterator[SetUpDrive]:
-    from contextlib import ExitStack
-
-    from hilbench.apps.canopen_tools.attach import (
-        MASTER_ID,
-        config_and_bus,
-        drive_on_node,
-        known_to_master,
-        node_on_bus,
-        only_master,
-    )
+    from hilbench.apps.canopen_tools.attach import MASTER_ID, BusSession, drive_on_node, node_on_bus
     from hilbench.can.frame import Frame
-    from hilbench.can.open import open_link
     from hilbench.canopen.identifiers import COB_ID, HEARTBEAT, NMT, NmtState
     from hilbench.cia402.axis import axes
     from hilbench.cia402.manual import ManualDrive
     from hilbench.cia402.set_up import SetUpDrive
     from hilbench.processes import end_requests
 
-    bench, address = config_and_bus(config, bus)
-    node, of_node = drive_on_node(node, bench, axis)
-    with ExitStack() as resources:
+    with BusSession(config, bus) as on:
+        bench = on.bench
+        node, of_node = drive_on_node(node, bench, axis)
         if action is not Action.STATUS:
-            what = f"drive by hand, node {node}"
-            resources.enter_context(only_master(address, bench, what, force=force))
-        node_id, name, od = node_on_bus(node, bench, address, eds)
+            on.be_only_master(f"drive by hand, node {node}", force=force)
+        node_id, name, od = node_on_bus(node, bench, on.bus, eds)
         there = axes(od.__contains__)
         if of_node > 1 and of_node not in there:
             known = ", ".join(map(str, there)) or "none"
             raise UnusableInputError(
                 "--axis", f"{of_node}, expected one that the EDS file of node {node_id} has: {known}"
             )
-        link = open_link(address)
-        resources.callback(link.close)
+        link = on.link()
         link.set_filters([(NMT, COB_ID)])  # nothing is received here: NMT commands are for the devices
-        master = known_to_master(address, node_id, od, name)
-        resources.callback(master.close)
+        master = on.known(node_id, name, od)[0]
         of_config = {} if bench is None else bench.units_of(node_id, of_node)
         units, without = _units(master, node_id, od, {**of_config, **given}, name, of_node)
 
@@ -231,7 +218,7 @@ def _drive(
             link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.PRE_OPERATIONAL.heartbeat)])
 
         file = eds.name if bench is None and eds.is_file() else "its EDS file"
-        alive = _Alive(heartbeat, resources.enter_context(end_requests()))
+        alive = _Alive(heartbeat, on.enter_context(end_requests()))
         manual = ManualDrive(master, node_id, name, units, time_out_s, alive, of_node)
         yield SetUpDrive(manual, file, units, _allowed(bench), without_units=without, time_out_s=time_out_s)
 
@@ -399,9 +386,8 @@ def _print(by_hand: SetUpDrive, *, as_json: bool) -> None:
         print_json({**asdict(status), "lacking": lacking})
         return
     print(f"{status.state}  (statusword {status.statusword:04X}h: {', '.join(status.flags) or 'no flags'})")
-    print(
-        f"mode {_or_dash(status.mode)}, error code {'-' if status.error_code is None else f'{status.error_code:04X}h'}"
-    )
+    of_drive = "-" if status.mode is None else str(status.mode)
+    print(f"mode {of_drive}, error code {'-' if status.error_code is None else f'{status.error_code:04X}h'}")
     print(", ".join(text for text in _actual_values(status) if text) or "neither position, velocity nor torque")
     if by_hand.without_units:
         print(f"its units are not known: {by_hand.without_units}")
@@ -419,7 +405,3 @@ def _actual_values(status: DriveStatus) -> Iterator[str]:
     ):
         if units is not None:
             yield f"{units} units" if value is None else f"{value:.5g} {name} ({units} units)"
-
-
-def _or_dash(value: int | None) -> str:
-    return "-" if value is None else str(value)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,6 +11,7 @@ from hilbench.apps.cli.options import BusOption, ForceOption
 from hilbench.errors import BenchFaultError, UnusableInputError
 
 if TYPE_CHECKING:
+    from hilbench.apps.canopen_tools.attach import BusSession
     from hilbench.can.open import BusAddress
     from hilbench.canopen.lss_master import LssMaster
     from hilbench.canopen.master import Identity
@@ -51,12 +51,14 @@ def assign(
 
     Example: hilbench lss assign 5 --identity 2Ah:402h:10000h:7 --bit-rate 500 --bus socketcan:can0
     """
+    from hilbench.apps.canopen_tools.attach import BusSession
+
     wanted = None if identity is None else _identity(identity)
     rate_index = None if bit_rate is None else _bit_rate_index(bit_rate)
-    with ExitStack() as resources:
-        master, address = _master(bus, timeout_s, resources, f"lss assign {node_id}", force=force)
-        _refuse_if_there(address, node_id)
-        wanted = wanted or _only_unconfigured(master, address)
+    with BusSession(None, bus) as on:
+        master = _master(on, timeout_s, f"lss assign {node_id}", force=force)
+        _refuse_if_there(on.bus, node_id)
+        wanted = wanted or _only_unconfigured(master, on.bus)
         master.select(wanted)
         before = master.node_id()
         if rate_index is not None:  # where it is refused the device has not got a node id yet
@@ -76,10 +78,11 @@ def show(bus: BusOption = None, timeout_s: TimeoutOption = 0.1, force: ForceOpti
 
     Example: hilbench lss show --bus socketcan:can0
     """
+    from hilbench.apps.canopen_tools.attach import BusSession
     from hilbench.canopen.lss_master import shown
 
-    with ExitStack() as resources:
-        master, _address = _master(bus, timeout_s, resources, "lss show", force=force)
+    with BusSession(None, bus) as on:
+        master = _master(on, timeout_s, "lss show", force=force)
         found = master.select_only_one()
         node_id = master.node_id()
     print(f"{words(found)}: {'no node id' if node_id is None else f'node {node_id}'}; --identity {shown(found)}")
@@ -94,16 +97,12 @@ def unconfigured(address: BusAddress, timeout_s: float) -> list[Identity]:
         return master.find_unconfigured()
 
 
-def _master(
-    bus: str | None, timeout_s: float, resources: ExitStack, what: str, *, force: bool
-) -> tuple[LssMaster, BusAddress]:
-    from hilbench.apps.canopen_tools.attach import config_and_bus, only_master
+def _master(on: BusSession, timeout_s: float, what: str, *, force: bool) -> LssMaster:
     from hilbench.can.open import open_python_can
     from hilbench.canopen.lss_master import LssMaster
 
-    _, address = config_and_bus(None, bus)
-    resources.enter_context(only_master(address, None, what, force=force))
-    return resources.enter_context(LssMaster(open_python_can(address), timeout_s)), address
+    on.be_only_master(what, force=force)
+    return on.enter_context(LssMaster(open_python_can(on.bus), timeout_s))
 
 
 def _refuse_if_there(address: BusAddress, node_id: int) -> None:

@@ -44,30 +44,24 @@ def scan(
     """
     from dataclasses import asdict
 
-    from hilbench.apps.canopen_tools.attach import MASTER_ID, config_and_bus, left_out
+    from hilbench.apps.canopen_tools.attach import MASTER_ID, BusSession, left_out
     from hilbench.apps.canopen_tools.bus_scan import scan as scan_bus
     from hilbench.apps.canopen_tools.eds_match import EdsFile, eds_files, identity
     from hilbench.apps.canopen_tools.interface import bitrate_of
-    from hilbench.can.open import open_link, open_python_can
     from hilbench.canopen.eds import load_eds
     from hilbench.canopen.lss_master import shown as address_of
     from hilbench.canopen.master_guard import master_of
-    from hilbench.canopen.sdo_client import SdoClient
 
-    bench, address = config_and_bus(config, bus)
-    files = eds_files(eds, left_out)
-    if bench is not None:
-        named = {part.node.eds: part.node.node_id for part in bench.parts}
-        files = [EdsFile(path, identity(load_eds(path, node_id))) for path, node_id in named.items()] + files
-    link = open_link(address)
-    try:
-        with SdoClient(open_python_can(address), _SDO_TIMEOUT_S) as reader:
-            master_id, claimed_by = bench.master.node_id if bench else MASTER_ID, master_of(address)
-            known = None if claimed_by is None else str(claimed_by)
-            rate = bitrate_of(address)
-            found = scan_bus(link, reader, files, listen, master_id, bitrate=rate, claimed_by=known, ask=ask)
-    finally:
-        link.close()
+    with BusSession(config, bus) as on:
+        bench, address, files = on.bench, on.bus, eds_files(eds, left_out)
+        if bench is not None:
+            named = {part.node.eds: part.node.node_id for part in bench.parts}
+            files = [EdsFile(path, identity(load_eds(path, node_id))) for path, node_id in named.items()] + files
+        link, reader = on.link(), on.reader(_SDO_TIMEOUT_S)
+        master_id, claimed_by = bench.master.node_id if bench else MASTER_ID, master_of(address)
+        known = None if claimed_by is None else str(claimed_by)
+        rate = bitrate_of(address)
+        found = scan_bus(link, reader, files, listen, master_id, bitrate=rate, claimed_by=known, ask=ask)
     nameless = unconfigured(address, _LSS_TIMEOUT_S) if lss and ask and not found.master_at_work else []
     problems = _problems(found, bench) if bench is not None else []
     if json:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -188,43 +188,30 @@ def _object(
     force: bool = False,
     may_be_unknown: bool = False,
 ) -> Iterator[_Object | _UnknownObject]:
-    from hilbench.apps.canopen_tools.attach import (
-        config_and_bus,
-        is_the_bench,
-        known_to_master,
-        node_and_eds,
-        node_on_bus,
-        only_master,
-    )
-    from hilbench.can.open import open_python_can
-    from hilbench.canopen.sdo_client import SdoClient
+    from hilbench.apps.canopen_tools.attach import BusSession, is_the_bench, node_and_eds
     from hilbench.cia402.axis import axis_of
     from hilbench.cia402.configuration import read_units
     from hilbench.cia402.object_units import has_drive_unit, si_unit
 
-    bench, address = config_and_bus(config, bus)
-    with ExitStack() as resources:
-        if writes and not is_the_bench(node, bench):
-            resources.enter_context(only_master(address, bench, f"sdo write to node {node}", force=force))
+    with BusSession(config, bus) as on:
+        if writes and not is_the_bench(node, on.bench):
+            on.be_only_master(f"sdo write to node {node}", force=force)
         index = _index(name) if may_be_unknown else None
         if index is not None:
-            node_id, node_name, known = node_and_eds(node, bench, address, eds)
+            node_id, node_name, known = node_and_eds(node, on.bench, on.bus, eds)
             why = "no EDS file" if known is None else "not in its EDS"
             if known is None or not _has(known, *index):
-                reader = resources.enter_context(SdoClient(open_python_can(address), timeout_s))
-                yield _UnknownObject(reader, node_id, *index, why)
+                yield _UnknownObject(on.reader(timeout_s), node_id, *index, why)
                 return
-            od = known
+            master, node_id, node_name, od = on.known(node_id, node_name, known, timeout_s)
         else:
-            node_id, node_name, od = node_on_bus(node, bench, address, eds)
+            master, node_id, node_name, od = on.device(node, eds, timeout_s)
         variable = _variable(od, name)
-        master = known_to_master(address, node_id, od, node_name, timeout_s)
-        resources.callback(master.close)
         units = None
         if has_drive_unit(variable.index):
             with suppress(UnusableInputError):  # the value is shown without a unit
                 axis = axis_of(variable.index)
-                given = {} if bench is None else bench.units_of(node_id, axis)
+                given = {} if on.bench is None else on.bench.units_of(node_id, axis)
                 units = read_units(master, node_id, od, given, node_name, axis)
         yield _Object(master, node_id, node_name, variable, si_unit(variable.index, units))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +25,7 @@ from hilbench.apps.cli.options import (
 from hilbench.errors import EXIT_CRITERION_FAILED, BenchFaultError, UnusableInputError
 
 if TYPE_CHECKING:
+    from canopen import ObjectDictionary
     from hilbench.canopen.device_configuration import Configuration, Difference, Key
     from hilbench.canopen.master import Master
 
@@ -47,10 +48,12 @@ def dump(
 
     Example: hilbench sdo dump 1 axis1.dcf --bus socketcan:can0
     """
+    from hilbench.apps.canopen_tools.attach import BusSession
     from hilbench.canopen.device_configuration import is_concise, write_concise, write_dcf
 
-    with _device(node, config, bus, eds, "sdo dump", timeout_s=timeout) as (master, node_id, configuration):
-        found = _read(master, node_id, configuration)
+    with BusSession(config, bus) as on:
+        master, node_id, _, od = on.device(node, eds, timeout)
+        found = _read(master, node_id, od)
     (write_concise if is_concise(file) else write_dcf)(found, file)
     print(f"{file}: {len(found.values)} objects of node {node_id}")
     for key, why in found.refused.items():
@@ -76,13 +79,14 @@ def load(
 
     Example: hilbench sdo load 1 axis1.dcf --bus socketcan:can0 --store
     """
-    from hilbench.canopen.device_configuration import moved, node_of_file, write_device, writes_of_file
+    from hilbench.apps.canopen_tools.attach import BusSession
+    from hilbench.canopen.device_configuration import Configuration, moved, node_of_file, write_device, writes_of_file
 
-    what, dcf = f"sdo load to node {node}", _description(file)
-    attached = _device(node, config, bus, eds, what, dcf, writes=True, force=force, timeout_s=timeout)
-    with attached as (master, node_id, known):
+    with BusSession(config, bus) as on:
+        on.be_only_master(f"sdo load to node {node}", force=force)
+        master, node_id, _, od = on.device(node, eds, timeout, _description(file))
         made_for = node_of_file(file)
-        writes, renamed = moved(writes_of_file(file, known.od), made_for or node_id, node_id)
+        writes, renamed = moved(writes_of_file(file, od), made_for or node_id, node_id)
         with _progress(f"node {node_id}") as progress:
             failed = write_device(master, node_id, writes, progress)
         not_stored = _store(master, node_id, failed) if store else None
@@ -91,7 +95,7 @@ def load(
     if renamed:
         print(f"{len(renamed)} COB-IDs of node {made_for} became those of node {node_id}")
     for key, why in failed.items():
-        print(f"{known.name(key)}: {why}")
+        print(f"{Configuration(od).name(key)}: {why}")
     if not_stored is not None:
         print(f"not stored: {not_stored}")
     if failed or not_stored is not None:
@@ -147,6 +151,7 @@ def _both(
     first: str, second: str, config: Path | None, bus: str | None, eds: Path, timeout_s: float
 ) -> tuple[Configuration, Configuration]:
     """The two sides; a concise DCF is read with the objects of the other side."""
+    from hilbench.apps.canopen_tools.attach import BusSession
     from hilbench.canopen.device_configuration import is_concise, read_file
     from hilbench.canopen.eds import load_eds
 
@@ -156,8 +161,9 @@ def _both(
     for name in (first, second):
         if name in files:
             continue
-        with _device(name, config, bus, eds, "sdo diff", dcf, timeout_s=timeout_s) as (master, node_id, known):
-            sides[name] = _read(master, node_id, known)
+        with BusSession(config, bus) as on:
+            master, node_id, _, od = on.device(name, eds, timeout_s, dcf)
+            sides[name] = _read(master, node_id, od)
     for name in sorted(files, key=lambda name: is_concise(Path(name))):
         if sides:
             od = next(iter(sides.values())).od
@@ -176,37 +182,11 @@ def _description(file: Path) -> Path | None:
     return None if is_concise(file) or not file.is_file() else file
 
 
-@contextmanager
-def _device(
-    node: str,
-    config: Path | None,
-    bus: str | None,
-    eds: Path,
-    what: str,
-    dcf: Path | None = None,
-    *,
-    writes: bool = False,
-    force: bool = False,
-    timeout_s: float,
-) -> Iterator[tuple[Master, int, Configuration]]:
-    from hilbench.apps.canopen_tools.attach import config_and_bus, known_to_master, node_on_bus, only_master
-    from hilbench.canopen.device_configuration import Configuration
-
-    bench, address = config_and_bus(config, bus)
-    with ExitStack() as resources:
-        if writes:
-            resources.enter_context(only_master(address, bench, what, force=force))
-        node_id, name, od = node_on_bus(node, bench, address, eds, dcf)
-        master = known_to_master(address, node_id, od, name, timeout_s)
-        resources.callback(master.close)
-        yield master, node_id, Configuration(od)
-
-
-def _read(master: Master, node_id: int, known: Configuration) -> Configuration:
+def _read(master: Master, node_id: int, od: ObjectDictionary) -> Configuration:
     from hilbench.canopen.device_configuration import read_device
 
     with _progress(f"node {node_id}") as progress:
-        found = read_device(master, node_id, known.od, progress)
+        found = read_device(master, node_id, od, progress)
     if not found.values:
         raise BenchFaultError(f"node {node_id}: none of its {len(found.refused)} objects could be read")
     return found

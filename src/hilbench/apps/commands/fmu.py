@@ -76,10 +76,8 @@ def show(file: Annotated[Path, Argument(metavar="FILE.fmu", help="an FMU")]) -> 
 
 def _list(variables: list[tuple[str, str, str]]) -> None:
     for causality in ("input", "output", "parameter", "local"):
-        names = [_with_unit(name, unit) for kind, name, unit in variables if kind == causality]
+        names = [
+            name if unit in ("", "1") else f"{name} [{unit}]" for kind, name, unit in variables if kind == causality
+        ]
         if names:
             print(f"{causality}s: {', '.join(names)}")
-
-
-def _with_unit(name: str, unit: str) -> str:
-    return name if unit in ("", "1") else f"{name} [{unit}]"

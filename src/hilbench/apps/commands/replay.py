@@ -49,10 +49,7 @@ def replay(
 
 
 def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: bool) -> dict[str, Any]:
-    from contextlib import closing
-
-    from hilbench.apps.canopen_tools.attach import config_and_bus, only_master
-    from hilbench.can.open import open_link
+    from hilbench.apps.canopen_tools.attach import BusSession
     from hilbench.results.replay import check_speed
     from hilbench.results.replay import replay as replay_frames
     from hilbench.results.run_folder import RunFolder
@@ -61,9 +58,9 @@ def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: b
     check_speed(speed)
     path = RunFolder.open(run).trace if run.is_dir() else run
     frames = read_trace(path)
-    _, address = config_and_bus(None, bus)
-    with only_master(address, None, f"replay of {run}", force=force), closing(open_link(address)) as link:
-        done = replay_frames(frames, link, speed=speed, commands=commands)
+    with BusSession(None, bus) as on:
+        on.be_only_master(f"replay of {run}", force=force)
+        done = replay_frames(frames, on.link(), speed=speed, commands=commands)
     return {"frames": done.frames, "left_out": done.left_out, "largest_lateness_s": done.latest_s}
 
 

@@ -84,14 +84,13 @@ def _examined(
 ) -> Examination:
     from rich.console import Console
 
-    from hilbench.apps.canopen_tools.attach import only_master
+    from hilbench.apps.canopen_tools.attach import BusSession
     from hilbench.apps.conformance.description import Description
     from hilbench.apps.conformance.dut import Allowed, DeviceUnderTest, Patience
     from hilbench.apps.conformance.examine import examine
     from hilbench.apps.conformance.listing import listed_cases
     from hilbench.apps.conformance.record import Examination
     from hilbench.apps.conformance.wire import LinkWire
-    from hilbench.can.open import BusAddress, open_link
     from hilbench.processes import end_requests
 
     groups = list(dict.fromkeys(case.group for case in listed_cases()))
@@ -99,19 +98,14 @@ def _examined(
     if unknown:
         raise UnusableInputError("--only", f"'{unknown[0]}', expected one of {', '.join(groups)}")
     description = Description(eds, node)
-    address = BusAddress.parse(bus).as_it_runs()
     display = _Display(Console(highlight=False), only or groups, quiet=quiet)
-    with only_master(address, None, f"conformance of node {node}", force=force):
-        link = open_link(address)
-        try:
-            with end_requests() as end_if_requested:
-                wire = LinkWire(link, end_if_requested)
-                dut = DeviceUnderTest(wire, node, description, Allowed(motion, store), Patience(boot_s=boot_s))
-                cases = examine(dut, only, display.on_result)
-        finally:
-            link.close()
+    with BusSession(None, bus) as on:
+        on.be_only_master(f"conformance of node {node}", force=force)
+        wire = LinkWire(on.link(), on.enter_context(end_requests()))
+        dut = DeviceUnderTest(wire, node, description, Allowed(motion, store), Patience(boot_s=boot_s))
+        cases = examine(dut, only, display.on_result)
     name = description.od.device_information.product_name or eds.stem
-    return Examination(name, node, str(address), eds.name, cases)
+    return Examination(name, node, str(on.bus), eds.name, cases)
 
 
 class _Display:

@@ -227,15 +227,12 @@ def _ramp(dut: DeviceUnderTest, what: str, velocity: int, ramp_s: float | None) 
     """Expect a ramp of this time; None: whatever brings it to rest."""
     taken_s = time_to_rest(dut, velocity)
     seen = "never" if taken_s is None else f"after {taken_s:.2f} s"
-    if ramp_s is None or not _has_ramps(dut):
+    ramps = objects.PROFILE_DECELERATION, objects.QUICK_STOP_DECELERATION
+    if ramp_s is None or not all(map(dut.eds.can_write, ramps)):
         dut.check(f"{what}: at rest", "in the end", seen, taken_s is not None)
         return
     ok = taken_s is not None and _SHORTEST * ramp_s <= taken_s <= _LONGEST * ramp_s + _ASKED_S
     dut.check(f"{what}: at rest", f"after {0.9 * ramp_s:.2f} s", seen, ok)
-
-
-def _has_ramps(dut: DeviceUnderTest) -> bool:
-    return all(dut.eds.can_write(i) for i in (objects.PROFILE_DECELERATION, objects.QUICK_STOP_DECELERATION))
 
 
 _RAMPS: Final = {1: SLOW_RAMP_S, 2: QUICK_RAMP_S, 5: SLOW_RAMP_S, 6: QUICK_RAMP_S}

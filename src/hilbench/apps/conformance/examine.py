@@ -8,11 +8,10 @@ parameters, valid). Outputs and commands (process data) are no parameters: a dri
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-from hilbench.apps.conformance.description import Entry
 from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text
 from hilbench.apps.conformance.listing import Case, listed_cases
 from hilbench.apps.conformance.process_data import RPDO, TPDO, at_rest, shown_state
@@ -44,11 +43,8 @@ AFTERWARDS: Final = Case("Afterwards", 1, "Every parameter is what it was before
 
 def snapshot(dut: DeviceUnderTest) -> Values:
     """Every parameter that can be read and written."""
-    return {entry.key: data for entry in _parameters(dut) if isinstance(data := dut.peek(*entry.key), bytes)}
-
-
-def _parameters(dut: DeviceUnderTest) -> Iterable[Entry]:
-    return (entry for entry in dut.eds.entries() if entry.writable and of_first_axis(entry.index) not in _COMMANDS)
+    found = (entry for entry in dut.eds.entries() if entry.writable and of_first_axis(entry.index) not in _COMMANDS)
+    return {entry.key: data for entry in found if isinstance(data := dut.peek(*entry.key), bytes)}
 
 
 @dataclass(frozen=True)

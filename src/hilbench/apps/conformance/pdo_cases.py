@@ -21,7 +21,6 @@ from hilbench.apps.conformance.process_data import (
 )
 from hilbench.apps.conformance.record import NotApplicableError, some
 from hilbench.apps.conformance.steps import read_if_there
-from hilbench.apps.conformance.wire import ReceivedFrame
 from hilbench.can.frame import REMOTE_FLAG
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING, NO_REMOTE_REQUEST, NmtCommand
@@ -79,7 +78,8 @@ def sent_on_change(dut: DeviceUnderTest) -> None:
     dut.silent("nothing changes", dut.receive(_QUIET_S), pdo.cob_id)
     change(dut)
     found = dut.receive_id(pdo.cob_id, _SOON_S)
-    dut.check("a change", f"{pdo.cob_id:03X} with the new value", _frames(found), bool(found))
+    seen = "; ".join(f"{each.can_id & COB_ID:03X} {each.data.hex(' ')}" for each in found[:4]) or "nothing"
+    dut.check("a change", f"{pdo.cob_id:03X} with the new value", seen, bool(found))
     if dut.eds.can_write(pdo.index, 3):
         _inhibit_time(dut)
     else:
@@ -129,10 +129,6 @@ def start_value(dut: DeviceUnderTest, state: NmtCommand) -> None:
     wanted = ([4, 6, 8, 10], [5, 7, 9]) if state is NmtCommand.START else ([],)
     expected = f"{pdo.cob_id:03X} with {' or '.join(str(each or 'none') for each in wanted)}"
     dut.check("SYNC 1 to 10", expected, f"with {came or 'none'}", came in wanted)
-
-
-def _frames(found: list[ReceivedFrame]) -> str:
-    return "; ".join(f"{each.can_id & COB_ID:03X} {each.data.hex(' ')}" for each in found[:4]) or "nothing"
 
 
 def _marks(came: list[bool]) -> str:

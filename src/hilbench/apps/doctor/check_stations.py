@@ -120,7 +120,7 @@ def _identity(node: ExpectedNode, answers: NodeAnswers) -> Finding:
             values = {"wanted": wanted, "eds": node.eds.name, "node_id": node.node_id}
             return error(Check.IDENTITY, node.subject, f"device profile {found}", "device_profile", **values)
     for name, answer, allowed, finding in checks:
-        if allowed and _number(answer) not in allowed:
+        if allowed and not (isinstance(answer, bytes) and int.from_bytes(answer, "little") in allowed):
             wanted_text = " or ".join(f"{value:08X}h" for value in sorted(allowed))
             found_text = f"{name} {_hex(answer)}"
             return finding(Check.IDENTITY, node.subject, found_text, wanted=wanted_text, eds=node.eds.name)
@@ -155,10 +155,6 @@ def _object(node: ExpectedNode, item: MappedObject, answers: NodeAnswers) -> Fin
 
 def _object_name(item: MappedObject) -> str:
     return f"{item.index:04X}h" + (f" sub {item.sub}" if item.sub else "")
-
-
-def _number(answer: Answer) -> int | None:
-    return int.from_bytes(answer, "little") if isinstance(answer, bytes) else None
 
 
 def _hex(answer: Answer) -> str:

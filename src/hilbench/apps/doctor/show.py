@@ -66,7 +66,8 @@ def show(console: Console, examination: Examination) -> None:
             subject = finding.subject
             table.add_row("", "", f"[bold]{escape(subject)}[/bold]")
         colour = _COLOURS[finding.level]
-        table.add_row(f"[{colour}]{finding.level}[/{colour}]", finding.check.replace("_", " "), _text(finding))
+        text = f"{finding.found}\nexpected {finding.expected}" if finding.expected else finding.found
+        table.add_row(f"[{colour}]{finding.level}[/{colour}]", finding.check.replace("_", " "), escape(text))
     console.print(table)
     show_advice(console, examination.findings)
     errors, warnings = examination.count(Level.ERROR), examination.count(Level.WARNING)
@@ -95,7 +96,3 @@ def show_advice(console: Console, findings: Sequence[Finding]) -> None:
 
 def _counted(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
-def _text(finding: Finding) -> str:
-    return escape(f"{finding.found}\nexpected {finding.expected}" if finding.expected else finding.found)

@@ -37,25 +37,21 @@ def gateway(
 
     Example: hilbench gateway --bus socketcan:can0
     """
-    from hilbench.apps.canopen_tools.attach import MASTER_ID, config_and_bus
+    from hilbench.apps.canopen_tools.attach import MASTER_ID, BusSession
     from hilbench.apps.gateway.session import GatewayNetwork, Session
-    from hilbench.can.open import open_link
     from hilbench.processes import stop_request
 
-    bench, address = config_and_bus(config, bus)
-    bench_id = MASTER_ID if bench is None else bench.master.node_id
-    stop = stop_request()
-    with ExitStack() as resources:
-        not_master = "the gateway is read-only" if read_only else _beside(address, resources, force=force)
-        network = resources.enter_context(GatewayNetwork(address, not_master, -1 if read_only else bench_id))
+    with BusSession(config, bus) as on:
+        bench_id, stop = MASTER_ID if on.bench is None else on.bench.master.node_id, stop_request()
+        not_master = "the gateway is read-only" if read_only else _beside(on.bus, on, force=force)
+        network = on.enter_context(GatewayNetwork(on.bus, not_master, -1 if read_only else bench_id))
         server = _listening(host, port, lambda: Session(network, network.lss))
-        resources.callback(server.server_close)
-        link = open_link(address)
-        resources.callback(link.close)
+        on.callback(server.server_close)
+        link = on.link()
         threading.Thread(target=server.serve_forever, name="gateway", daemon=True).start()
-        resources.callback(server.shutdown)
+        on.callback(server.shutdown)
         where = ":".join(map(str, server.server_address[:2]))
-        print(f"{address} is served at {where} (CiA 309-3); {not_master or 'clients may write'}", flush=True)
+        print(f"{on.bus} is served at {where} (CiA 309-3); {not_master or 'clients may write'}", flush=True)
         server.follow(link, stop)
 
 

@@ -149,10 +149,6 @@ def _decode(code: int, data: bytes) -> Value:
     return kind.decode(data)
 
 
-def _show_hexadecimal(code: int, data: bytes) -> str:
-    return f"0x{int(_decode(code, data)):0{2 * len(data)}X}"
-
-
 def _parse_hex(text: str) -> bytes:
     try:
         return bytes.fromhex(text)
@@ -195,7 +191,7 @@ def _number_form(code: int) -> TextForm:
 
 
 def _hexadecimal(code: int) -> TextForm:
-    return TextForm(partial(_parse, code), partial(_show_hexadecimal, code))
+    return TextForm(partial(_parse, code), lambda data: f"0x{int(_decode(code, data)):0{2 * len(data)}X}")
 
 
 _BASE64 = TextForm(_parse_base64, lambda data: base64.b64encode(data).decode("ascii"))

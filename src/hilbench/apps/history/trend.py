@@ -21,7 +21,7 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg, special
+from scipy import special
 
 Array = NDArray[np.float64]
 ChangeKind = Literal["step", "kink", "outlier"]
@@ -232,36 +232,66 @@ class _Candidates:
         found[:, of_kinks] = np.maximum(t[:, None] - points.t[None, self.places[of_kinks] - 1], 0.0)
         return found
 
-    def rates(self) -> Array:
-        """Contribution of each to the rate at the last run, (K,)."""
-        return np.where(self.kinds == "kink", 1.0, 0.0)
-
 
 @dataclass(frozen=True)
-class _Noise:
-    """One variance model of runs and days, and products of the whitened columns under it."""
+class _Fit:
+    """Posteriors of level, rate and chosen changes: under each of N variance models, alone and with each further one of
+    K candidates."""
 
-    repeat: float
-    daily: float
-    log_weight: float  #: probability before the data are seen, and what the determinant adds
-    gram: Array  #: of value, 1, time, candidates
+    chosen: list[int]
+    weights: Array  #: (N, 1 + K): probability that there is no further change, and of each candidate
+    mean: Array  #: (N, own): of level, rate and the sizes of those chosen
+    inverse: Array  #: (N, own, own): their covariance
+    mixed: Array  #: (N, own, K): by how much each candidate's size moves them
+    gain: Array  #: (N, K): mean of a candidate's size
+    left: Array  #: (N, K): inverse variance of it
 
 
 class _Average:
     """All models together, by their probability."""
 
     def __init__(self, points: _Points) -> None:
-        self._points = points
-        self._end = float(points.t[-1])
+        self._points, self._end = points, float(points.t[-1])
         self._candidates = _Candidates.of(points)
         columns = np.column_stack([points.y, np.ones(len(points.t)), points.t - self._end, self._candidates.columns])
-        self._noises = [
-            _noise(points, columns, repeat, daily, correlated_d)
+        grid = [
+            (repeat, daily, correlated_d)
             for repeat in _REPEAT
             for daily in _DAILY
             for correlated_d in (_CORRELATED_D if daily else _CORRELATED_D[:1])
         ]
+        self._repeat, self._daily, correlated_d = np.array(grid).T
+        apart = np.abs(points.t[:, None] - points.t[None, :])
+        covariance = self._daily[:, None, None] ** 2 * np.exp(-apart / correlated_d[:, None, None])
+        of_runs = points.variance + self._repeat[:, None] ** 2 / points.runs + 1e-4
+        covariance += of_runs[:, :, None] * np.eye(len(points.t))
+        lower = np.linalg.cholesky(covariance)
+        white = np.linalg.solve(lower, np.broadcast_to(columns, (len(grid), *columns.shape)))
+        ways = np.where(self._daily > 0.0, len(_CORRELATED_D), 1)
+        # Probability of a variance model before the data are seen, and what the determinant adds.
+        self._log_weight = -np.sum(np.log(np.diagonal(lower, axis1=1, axis2=2)), axis=1)
+        self._log_weight -= self._daily / _DAILY_SCALE + np.log(ways)
+        self._gram = white.transpose(0, 2, 1) @ white  # of value, 1, time, candidates
         self._chosen = self._search()
+
+    def _fit(self, chosen: Sequence[int]) -> _Fit:
+        gram, size, log_prior = self._gram, self._candidates.size, self._candidates.log_prior
+        own, taken = [1, 2, *(3 + k for k in chosen)], list(chosen)
+        normal = gram[:, own][:, :, own] + np.diag([0.0, 0.0, *size[taken] ** -2.0])
+        inverse, seen = np.linalg.inv(normal), gram[:, own, 0]
+        mean = np.einsum("nij,nj->ni", inverse, seen)
+        with_each = gram[:, own, 3:]
+        mixed = inverse @ with_each
+        left = np.diagonal(gram, axis1=1, axis2=2)[:, 3:] + size**-2.0 - np.sum(with_each * mixed, axis=1)
+        towards = gram[:, 3:, 0] - np.einsum("nik,ni->nk", with_each, mean)
+        quality = gram[:, 0, 0] - np.sum(seen * mean, axis=1)
+        alone = self._log_weight - 0.5 * (np.linalg.slogdet(normal)[1] + quality)
+        alone += np.sum(log_prior[taken] - np.log(size[taken]))
+        further = log_prior - np.log(size) - 0.5 * np.log(left) + 0.5 * towards**2 / left
+        further[:, taken] = -np.inf
+        logs = np.column_stack([alone, alone[:, None] + further])
+        weights = np.exp(logs - special.logsumexp(logs))
+        return _Fit(taken, weights, mean, inverse, mixed, towards / left, left)
 
     def _search(self) -> list[int]:
         """Find the changes that are certain, one after the other, then each again given the others.
@@ -276,16 +306,16 @@ class _Average:
             chosen.append(found)
             if len(chosen) > 1:
                 chosen = self._again(chosen)
-        sure = [self._shares(one, chosen)[0].sum() for one in chosen]
+        sure = [self._beside(one, chosen)[1].sum() for one in chosen]
         if sure and min(sure) < CHANGE_SURE:
             del chosen[int(np.argmin(sure))]
         return chosen
 
-    def _shares(self, one: int, chosen: Sequence[int]) -> tuple[Array, NDArray[np.int64]]:
-        """Probability of each candidate of the kind of a chosen one, given the others, and which these are."""
-        weights = self._weights([each for each in chosen if each != one])[0]
-        alike = np.flatnonzero(self._candidates.kinds == self._candidates.kinds[one])
-        return weights[:, alike + 1].sum(axis=0), alike
+    def _beside(self, one: int, chosen: Sequence[int]) -> tuple[_Fit, Array]:
+        """The fit of the other chosen ones, and given these the probability of each candidate, 0 for other kinds."""
+        fit = self._fit([each for each in chosen if each != one])
+        alike = self._candidates.kinds == self._candidates.kinds[one]
+        return fit, np.where(alike, fit.weights[:, 1:].sum(axis=0), 0.0)
 
     def _again(self, chosen: list[int]) -> list[int]:
         for at in range(len(chosen)):
@@ -297,84 +327,61 @@ class _Average:
 
     def _most_probable(self, chosen: list[int]) -> int | None:
         """Most probable candidate given those chosen; None where it is not certain that there is one."""
-        weights = self._weights(chosen)[0].sum(axis=0)
-        if weights[1:].sum() < CHANGE_SURE:
-            return None
-        best = int(np.argmax(weights[1:]))
-        return best if best not in chosen else None
-
-    def _weights(self, chosen: list[int]) -> tuple[Array, list[_Posterior]]:
-        """Probability of each variance model (rows) and of no further change, or each candidate (columns)."""
-        posteriors = [_Posterior(noise, self._candidates, chosen) for noise in self._noises]
-        logs = np.array([each.log_weights for each in posteriors])
-        return np.exp(logs - special.logsumexp(logs)), posteriors
+        weights = self._fit(chosen).weights[:, 1:].sum(axis=0)
+        best = int(np.argmax(weights))
+        return best if weights.sum() >= CHANGE_SURE and best not in chosen else None
 
     def trend(self, limits: Sequence[float], ahead_d: float, least_rate_per_d: float, *, may_report: bool) -> Trend:
         """Trend by Bayesian model averaging."""
-        points, scatter = self._points, self._points.scatter
-        weights, posteriors = self._weights(self._chosen)
-        last = float(points.t[-1])
-        band_d = np.unique(np.concatenate([points.t, np.linspace(points.t[0], last + ahead_d, 120)]))
-        # Level and rate at the end, then the band.
-        rows = np.vstack([self._row(last), self._rate_row(), *(self._row(float(at)) for at in band_d)])
-        base, more = rows[:, :2], rows[:, 2:]
-        mixture = _Mixture.of(weights, posteriors, base, more)
-        level, rate = mixture.moments(0), mixture.moments(1)
+        points, scatter, middle, fit = self._points, self._points.scatter, self._points.middle, self._fit(self._chosen)
+        band_d = np.unique(np.concatenate([points.t, np.linspace(points.t[0], self._end + ahead_d, 120)]))
+        times = np.array([self._end, *band_d])
+        levels = np.column_stack([np.ones(len(times)), times - self._end, self._candidates.at(times, points)])
+        rate = np.array([0.0, 1.0, *(self._candidates.kinds == "kink")], np.float64)
+        mixture = _Mixture.of(fit, np.vstack([levels[0], rate, levels[1:]]))  # level and rate at the end, the band
+        means, deviations = mixture.moments()
         rising = mixture.above(1, least_rate_per_d / scatter)
         falling = 1.0 - mixture.above(1, -least_rate_per_d / scatter)
         direction: Direction | None = None
         if may_report and max(rising, falling) >= SURE:
             direction = "rising" if rising > falling else "falling"
-        means, deviations = np.array([mixture.moments(k) for k in range(2, len(rows))]).T
         positive = mixture.above(1, 0.0)
         low, high = mixture.interval(0)
-        middle = points.middle
         rate_low, rate_high = mixture.interval(1)
+        band, half = middle + scatter * means[2:], scatter * _NORMAL_95 * deviations[2:]
+        variances = fit.weights.sum(axis=1)
         return Trend(
-            level=middle + scatter * level[0],
+            level=middle + scatter * float(means[0]),
             level_ci95=(middle + scatter * low, middle + scatter * high),
-            rate_per_d=scatter * rate[0],
+            rate_per_d=scatter * float(means[1]),
             rate_ci95=(scatter * rate_low, scatter * rate_high),
             sure=max(positive, 1.0 - positive),
             direction=direction,
-            repeat_sd=scatter * self._mean_of(weights, "repeat"),
-            daily_sd=scatter * self._mean_of(weights, "daily"),
+            repeat_sd=scatter * float(np.sqrt(variances @ self._repeat**2)),
+            daily_sd=scatter * float(np.sqrt(variances @ self._daily**2)),
             changes=tuple(self._changes()),
             reached=tuple(found for limit in limits if (found := self._reached(mixture, limit, direction)) is not None),
             band_d=band_d,
-            band=middle + scatter * means,
-            band_low=middle + scatter * (means - _NORMAL_95 * deviations),
-            band_high=middle + scatter * (means + _NORMAL_95 * deviations),
+            band=band,
+            band_low=band - half,
+            band_high=band + half,
         )
-
-    def _row(self, at: float) -> Array:
-        """Regressor row of the mean at a time: level, rate and candidates."""
-        return np.concatenate([[1.0, at - self._end], self._candidates.at(np.array([at]), self._points)[0]])
-
-    def _rate_row(self) -> Array:
-        return np.concatenate([[0.0, 1.0], self._candidates.rates()])
-
-    def _mean_of(self, weights: Array, name: str) -> float:
-        sizes = np.array([getattr(noise, name) for noise in self._noises])
-        return float(np.sqrt(weights.sum(axis=1) @ sizes**2))
 
     def _changes(self) -> list[Change]:
         """The sure ones, in their order, each as the others leave it."""
         found = []
         for one in self._chosen:
-            weights, posteriors = self._weights([each for each in self._chosen if each != one])
             kind, t = str(self._candidates.kinds[one]), self._points.t
-            shares, alike = self._shares(one, self._chosen)
+            fit, shares = self._beside(one, self._chosen)
             probability = float(shares.sum())
             # Where it may have been as well: the places that have the most probable 90 % of it.
-            order = np.argsort(-shares)
+            order = np.argsort(-shares, kind="stable")
             count = int(np.searchsorted(np.cumsum(shares[order]), 0.9 * probability)) + 1
-            places = self._candidates.places[alike[order[:count]]]
+            places = self._candidates.places[order[:count]]
             first, last = int(places.min()), int(places.max())
-            each = np.array([posterior.size_of(one) for posterior in posteriors])
-            share = weights[:, one + 1] / max(float(weights[:, one + 1].sum()), 1e-300)
-            mean = float(share @ each[:, 0])
-            variance = float(share @ (each[:, 1] + (each[:, 0] - mean) ** 2))
+            share = fit.weights[:, one + 1] / max(float(fit.weights[:, one + 1].sum()), 1e-300)
+            mean = float(share @ fit.gain[:, one])
+            variance = float(share @ (1.0 / fit.left[:, one] + (fit.gain[:, one] - mean) ** 2))
             size, sd = self._points.scatter * mean, self._points.scatter * variance**0.5
             begins = float(t[first]) if kind == "outlier" else float(t[first - 1])
             found.append(Change(kind, begins, float(t[last]), size, sd, probability))  # type: ignore[arg-type]
@@ -383,7 +390,7 @@ class _Average:
     def _reached(self, mixture: _Mixture, limit: float, direction: Direction | None) -> Reached | None:
         """When a limit is reached at the rate of now; None where nothing is said to move towards it."""
         distance = (limit - self._points.middle) / self._points.scatter
-        level = mixture.moments(0)[0]
+        level = float(mixture.moments()[0][0])
         if direction is None or (distance > level) != (direction == "rising"):
             return None
         levels, rates = mixture.draws()
@@ -392,47 +399,6 @@ class _Average:
         days = np.where(rates * (distance - level) > 0.0, np.maximum(days, 0.0), np.inf)
         early, middle, late = (float(each) for each in np.quantile(days, [0.05, 0.5, 0.95], method="nearest"))
         return Reached(limit, middle, early, late)
-
-
-def _noise(points: _Points, columns: Array, repeat: float, daily: float, correlated_d: float) -> _Noise:
-    apart = np.abs(points.t[:, None] - points.t[None, :])
-    covariance = daily**2 * np.exp(-apart / correlated_d)
-    covariance[np.diag_indices_from(covariance)] += points.variance + repeat**2 / points.runs + 1e-4
-    lower = linalg.cholesky(covariance, lower=True)
-    white = linalg.solve_triangular(lower, columns, lower=True)
-    ways = len(_CORRELATED_D) if daily else 1
-    log_weight = -float(np.sum(np.log(np.diag(lower)))) - daily / _DAILY_SCALE - np.log(ways)
-    return _Noise(repeat, daily, log_weight, white.T @ white)
-
-
-class _Posterior:
-    """Posterior of level, rate and chosen changes under one variance model, alone and with each further candidate."""
-
-    def __init__(self, noise: _Noise, candidates: _Candidates, chosen: Sequence[int]) -> None:
-        own = np.array([1, 2, *(3 + k for k in chosen)])
-        gram = noise.gram
-        precision = np.concatenate([np.zeros(2), candidates.size[list(chosen)] ** -2.0])
-        normal = gram[np.ix_(own, own)] + np.diag(precision)
-        self.inverse = linalg.inv(normal)
-        self.mean = self.inverse @ gram[own, 0]
-        with_each = gram[own, 3:]  # (own, K)
-        self.mixed = self.inverse @ with_each
-        self.left = np.diag(gram)[3:] + candidates.size**-2.0 - np.sum(with_each * self.mixed, axis=0)
-        towards = gram[3:, 0] - with_each.T @ self.mean
-        self.gain = towards / self.left
-        self.chosen = list(chosen)
-        quality = gram[0, 0] - float(gram[own, 0] @ self.mean)
-        alone = noise.log_weight - 0.5 * (float(np.linalg.slogdet(normal)[1]) + quality)
-        alone += float(np.sum(np.log(candidates.size[list(chosen)] ** -1.0))) + float(
-            np.sum(candidates.log_prior[list(chosen)])
-        )
-        further = candidates.log_prior - np.log(candidates.size) - 0.5 * np.log(self.left) + 0.5 * towards * self.gain
-        further[list(chosen)] = -np.inf
-        self.log_weights = np.concatenate([[alone], alone + further])
-
-    def size_of(self, candidate: int) -> tuple[float, float]:
-        """Mean and variance of a further candidate's size."""
-        return float(self.gain[candidate]), float(1.0 / self.left[candidate])
 
 
 @dataclass(frozen=True)
@@ -445,28 +411,27 @@ class _Mixture:
     crossed: Array  #: (models,): covariance of the first two figures
 
     @classmethod
-    def of(cls, weights: Array, posteriors: Sequence[_Posterior], base: Array, more: Array) -> _Mixture:
-        """base (figures, 2), more (figures, K): what makes the figures of level and rate, and of the candidates."""
-        parts = []
-        for row, posterior in zip(weights, posteriors, strict=True):
-            own = np.hstack([base, more[:, posterior.chosen]])
-            mean, spread = own @ posterior.mean, own @ posterior.inverse
-            lever = more - own @ posterior.mixed  # (figures, K): what a candidate's size adds beside the others
-            steps = np.column_stack([np.zeros(len(own)), lever * posterior.gain])
-            squares = np.column_stack([np.zeros(len(own)), lever**2 / posterior.left])
-            crosses = np.concatenate([[0.0], lever[0] * lever[1] / posterior.left])
-            counts = row > _LEAST_WEIGHT
-            of_own = mean[:, None] + steps, np.sum(spread * own, axis=1)[:, None] + squares
-            parts.append([row, of_own[0].T, of_own[1].T, spread[0] @ own[1] + crosses])
-            parts[-1] = [each[counts] for each in parts[-1]]
-        total, means, variances, crossed = (np.concatenate(each) for each in zip(*parts, strict=True))
-        return cls(total / total.sum(), means, variances, crossed)
+    def of(cls, fit: _Fit, rows: Array) -> _Mixture:
+        """rows (figures, 2 + K): what makes each figure of level and rate, and of the candidates."""
+        own, more = np.hstack([rows[:, :2], rows[:, 2:][:, fit.chosen]]), rows[:, 2:]
+        spread = own @ fit.inverse  # (N, figures, own)
+        lever = more - own @ fit.mixed  # (N, figures, K): what a candidate's size adds beside the others
+        nothing = np.zeros((*lever.shape[:2], 1))
+        steps = np.concatenate([nothing, lever * fit.gain[:, None, :]], axis=2)
+        squares = np.concatenate([nothing, lever**2 / fit.left[:, None, :]], axis=2)
+        crosses = np.concatenate([nothing[:, 0], lever[:, 0] * lever[:, 1] / fit.left], axis=1)
+        means = (fit.mean @ own.T)[:, :, None] + steps
+        variances = np.sum(spread * own, axis=2)[:, :, None] + squares
+        crossed = (spread[:, 0] @ own[1])[:, None] + crosses
+        counts = fit.weights > _LEAST_WEIGHT
+        total = fit.weights[counts]
+        of_each = means.transpose(0, 2, 1)[counts], variances.transpose(0, 2, 1)[counts]
+        return cls(total / total.sum(), *of_each, crossed[counts])
 
-    def moments(self, figure: int) -> tuple[float, float]:
-        """Mean and standard deviation."""
-        mean = float(self.weights @ self.means[:, figure])
-        square = self.variances[:, figure] + (self.means[:, figure] - mean) ** 2
-        return mean, float(np.sqrt(self.weights @ square))
+    def moments(self) -> tuple[Array, Array]:
+        """Means and standard deviations of all figures."""
+        mean = self.weights @ self.means
+        return mean, np.sqrt(self.weights @ (self.variances + (self.means - mean) ** 2))
 
     def above(self, figure: int, value: float) -> float:
         """Probability that a figure is above a value."""
@@ -475,11 +440,10 @@ class _Mixture:
 
     def interval(self, figure: int) -> tuple[float, float]:
         """95 % interval, between its quantiles."""
-        mean, deviation = self.moments(figure)
+        mean, deviation = (float(each[figure]) for each in self.moments())
         at = mean + deviation * np.linspace(-8.0, 8.0, 321)
         off = (at[:, None] - self.means[None, :, figure]) / np.sqrt(self.variances[None, :, figure])
-        below = special.ndtr(off) @ self.weights
-        low, high = np.interp([0.025, 0.975], below, at)
+        low, high = np.interp([0.025, 0.975], special.ndtr(off) @ self.weights, at)
         return float(low), float(high)
 
     def draws(self) -> tuple[Array, Array]:

@@ -102,27 +102,19 @@ def matrix_of(runs: Sequence[RunEntry], specified: Iterable[Requirement] = ()) -
                 requirements.setdefault(name, Requirement(name))
                 criteria.setdefault(name, {})[verdict.name] = None
                 of_run = cells.setdefault(name, {})
-                of_run[run.path] = _worse(of_run.get(run.path, ""), _cell(run, verdict.verdict))
+                of_run[run.path] = max(of_run.get(run.path, ""), _cell(run, verdict.verdict), key=_ORDER.index)
     shown = [run for run in runs if any(run.path in found for found in cells.values())]
     rows = [
-        Row(each, [_of(cells, name, run) for run in shown], list(criteria.get(name, ())))
+        Row(each, [cells.get(name, {}).get(run.path, "") for run in shown], list(criteria.get(name, ())))
         for name, each in requirements.items()
     ]
     return Matrix(shown, rows)
-
-
-def _of(cells: Mapping[str, Mapping[str, Cell]], name: str, run: RunEntry) -> Cell:
-    return cells.get(name, {}).get(run.path, "")
 
 
 def _cell(run: RunEntry, verdict: str) -> Cell:
     if run.state in ("fault", "interrupted") and verdict != "failed":
         return "fault"
     return next(cell for cell in _ORDER if cell == verdict)
-
-
-def _worse(one: Cell, other: Cell) -> Cell:
-    return max(one, other, key=_ORDER.index)
 
 
 def write_matrix_page(matrix: Matrix, base: Path, path: Path) -> Path:

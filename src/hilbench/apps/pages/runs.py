@@ -12,9 +12,8 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route
 
-from hilbench.apps.library.entry import RunEntry
 from hilbench.apps.library.query import Library
-from hilbench.apps.library.runs_page import page_data, runs_text
+from hilbench.apps.library.runs_page import Link, page_data, runs_text
 from hilbench.apps.report.page import Program, policy, scripts
 from hilbench.errors import UnusableInputError
 from hilbench.results.run_folder import RunFolder
@@ -32,7 +31,8 @@ def routes(base: Path, *, replays: bool = False) -> list[BaseRoute]:
             runs = Library(base).runs(metrics=None)
         except UnusableInputError as error:
             return PlainTextResponse(f"No runs: {error}", 404)
-        program = Program("library/runs.js", page_data(runs, _report, _replay if replays else None))
+        replay: Link | None = (lambda run: f"/replay/{quote(run.path)}") if replays else None
+        program = Program("library/runs.js", page_data(runs, lambda run: f"/runs/{quote(run.path)}/report", replay))
         policies = {"Content-Security-Policy": _LIST_POLICY + policy(program.scripts())}
         return HTMLResponse(runs_text(base, runs, runs, program), headers=policies)
 
@@ -55,11 +55,3 @@ def routes(base: Path, *, replays: bool = False) -> list[BaseRoute]:
         return await run_in_threadpool(report_of, request.path_params["name"])
 
     return [Route("/runs", show_all), Route("/runs/{name:path}/report", show_report)]
-
-
-def _report(run: RunEntry) -> str:
-    return f"/runs/{quote(run.path)}/report"
-
-
-def _replay(run: RunEntry) -> str:
-    return f"/replay/{quote(run.path)}"

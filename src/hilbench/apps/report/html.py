@@ -102,7 +102,9 @@ def _row(found: FoundRecord) -> Iterator[str]:
 
 def _draw(figure: Any, history: GapHistory, found: Sequence[FoundRecord]) -> list[DrawnAxes]:
     axes = figure.subplots()
-    t_s, in_use, configured = (_array(values) for values in (history.t_s, history.in_use, history.configured))
+    t_s, in_use, configured = (
+        np.array(values, np.float64) for values in (history.t_s, history.in_use, history.configured)
+    )
     parts = _parts(t_s, found)
     axes.fill_between(t_s, 0.0, in_use, where=~parts, color=GREEN, alpha=0.55, linewidth=0, step="pre")
     axes.fill_between(t_s, 0.0, in_use, where=parts, color=VERMILLION, alpha=0.55, linewidth=0, step="pre")
@@ -156,10 +158,6 @@ def _parts(t_s: Array, found: Sequence[FoundRecord]) -> NDArray[np.bool_]:
     return parts
 
 
-def _array(values: Sequence[float | None]) -> Array:
-    return np.array([np.nan if value is None else value for value in values])
-
-
 def write_report(run_folder: RunFolder) -> Path:
     """Write the report of a run from its config.yaml, result.json and recording.mf4; returns its path.
 
@@ -190,7 +188,11 @@ def write_report(run_folder: RunFolder) -> Path:
         estimated=estimated_rows(result),
         warnings=_warnings(result),
         reasons_of=_reasons,
-        step_columns=("Metric", *(f">{_step_name(step)}" for step in steps[:_MOST_COLUMNS]), "Unit"),
+        step_columns=(
+            "Metric",
+            *(f">step {step.number}" if step.number else ">working window" for step in steps[:_MOST_COLUMNS]),
+            "Unit",
+        ),
         step_metrics=[
             (name, known.unit)
             for name in {**METRICS, **result.metrics}
@@ -314,10 +316,6 @@ def _warnings(result: Result) -> list[tuple[str, ...]]:
         times = number(warning.count, 12), number(warning.last_time_s, 6)
         rows.append((number(warning.time_s, 6), warning.source, warning.text + last, *times))
     return rows
-
-
-def _step_name(step: StepRecord) -> str:
-    return f"step {step.number}" if step.number else "working window"
 
 
 def _reasons(step: StepRecord) -> list[tuple[str, list[str]]]:
