@@ -23,7 +23,6 @@ from hilbench.diagnosis.diagnosis import (
     Value,
     concluded,
     explained,
-    rounded,
     unobservable,
 )
 from hilbench.diagnosis.fit import Fit, fit
@@ -359,12 +358,8 @@ class _Joint:
         if abs(change) <= max(half, self.errors * error):
             return None
         strength = term.effect.strength[0]
-        size = Value(
-            rounded(change),
-            (rounded(change - half), rounded(change + half)),
-            term.effect.parameter(strength).unit,
-            before=rounded(float(np.linalg.norm(was) if term.has_phase else was[0])),
-        )
+        known, unit = float(np.linalg.norm(was) if term.has_phase else was[0]), term.effect.parameter(strength).unit
+        size = Value.of(change, (change - half, change + half), unit, known)
         return replace(effect, parameters={**effect.parameters, strength: size})
 
     def _strength(self, when: str, key: Key, term: Term) -> Array:

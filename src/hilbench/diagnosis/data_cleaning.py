@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.noise import floor
+from hilbench.diagnosis.noise import floor, rms
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import LEAST_SAMPLES, Recording
 from hilbench.topology.signal_kinds import TIME
@@ -473,8 +473,7 @@ def _roughness(table: _Table) -> float:
     kept = ~table.left_out[4:]
     found = 0.0
     for name in table.named(_POSITION):
-        differences = np.diff(table.channels[name], 4)[kept]
-        found = max(found, float(np.sqrt(np.mean(differences**2))))
+        found = max(found, rms(np.diff(table.channels[name], 4)[kept]))
     return found
 
 

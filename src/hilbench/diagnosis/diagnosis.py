@@ -70,6 +70,13 @@ class Value:
     unit: str
     before: float | None = None  #: of a change, what it was in the recording before
 
+    @classmethod
+    def of(cls, value: float, ci95: tuple[float, float], unit: str, before: float | None = None) -> Value:
+        """With as many digits as any interval needs."""
+        low, high = ci95
+        was = None if before is None else rounded(before)
+        return cls(rounded(value), (rounded(low), rounded(high)), unit, was)
+
     @property
     def digits(self) -> int:
         """Significant digits needed to distinguish the ends of the interval, 5 at least."""
@@ -143,6 +150,13 @@ class Unobservable:
     section: Section | None = None
     order: float | None = None  #: of a wave, the lowest of those that were looked at from which on it can't be seen
     frequency_Hz: float | None = None  #: the same of a resonance
+
+    @classmethod
+    def of(cls, term: Term, smallest: float | None, experiment: str, **shape: float) -> Unobservable:
+        """What a term stands for; smallest: strength that could be seen, infinite or None where none could."""
+        unit = term.effect.parameter(term.effect.strength[0]).unit
+        visible = None if smallest is None or not np.isfinite(smallest) else rounded(float(smallest))
+        return cls(term.effect.id, term.axis, visible, unit, experiment, term.section, **shape)
 
     @property
     def place(self) -> Place:
@@ -309,7 +323,7 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
             *unobservable(selection),
             *_waves_too_fast(space, proposer, selection),
             *_unseen_resonances(space, proposer, selection),
-            *map(_asked, [*too_few, *selection.untold]),
+            *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in [*too_few, *selection.untold]),
             *(_without_other(effect) for effect in untold_beside(predictor, space.model)),
         ],
         missing_channels=data.missing,
@@ -338,12 +352,6 @@ def _swing(term: Term) -> tuple[str, str]:
     return f"a {term.effect.id}", f"perhaps near {about_Hz}, which the few frequencies of this motion do not identify"
 
 
-def _asked(term: Term) -> Unobservable:
-    """The experiment that would tell it."""
-    unit = term.effect.parameter(term.effect.strength[0]).unit
-    return Unobservable(term.effect.id, term.axis, None, unit, f"{term.effect.shown_by}, to many speeds")
-
-
 def _without_other(effect: Effect) -> Unobservable:
     """An effect that an axis does not show while another is coupled, and the experiment that would show it."""
     return Unobservable(effect.id, 1, None, effect.parameter(effect.strength[0]).unit, OTHER_HELD)
@@ -368,10 +376,7 @@ def _nuisance(model: Machine, chosen: Choice, effects: list[NamedEffect]) -> lis
         for effect, parameters in nuisance_of(loop, model).items():
             if effect == "drive_lag" and loop.axis in late:
                 continue
-            values = {
-                name: Value(rounded(value), (rounded(low), rounded(high)), unit)
-                for name, (value, (low, high), unit) in parameters.items()
-            }
+            values = {name: Value.of(*known) for name, known in parameters.items()}
             result.append(NamedEffect(effect, loop.axis, values, {"likelihood_ratio": loop.gain}, [], None))
     return result
 
@@ -380,18 +385,14 @@ def _presliding(model: Machine, chosen: Choice) -> list[NamedEffect]:
     """Presliding displacement of dry friction after a reversal, of a lone axis that shows one."""
     if not isinstance(chosen.predictor, OnMeasuredMotion) or chosen.predictor.presliding is None:
         return []
-    found = chosen.predictor.presliding
-    low, high = found.ci95
-    presliding_travel = Value(rounded(found.presliding_travel), (rounded(low), rounded(high)), model.position_unit)
-    return [NamedEffect("presliding", 1, {f"way_{model.position_unit}": presliding_travel}, {}, [], None)]
+    found, unit = chosen.predictor.presliding, model.position_unit
+    values = {f"way_{unit}": Value.of(found.presliding_travel, found.ci95, unit)}
+    return [NamedEffect("presliding", 1, values, {}, [], None)]
 
 
 def _coupling(space: Space, final: Fit) -> list[NamedEffect]:
     """Coupling torques of another axis at a lone one, where its motion was recorded."""
-    values = {
-        name: Value(rounded(value), (rounded(low), rounded(high)), unit)
-        for name, (value, (low, high), unit) in couplings(space, final).items()
-    }
+    values = {name: Value.of(*known) for name, known in couplings(space, final).items()}
     return [NamedEffect("coupling", 1, values, {}, [], None)] if values else []
 
 
@@ -498,8 +499,8 @@ def _named(model: Machine, terms: list[Term], judged: _Judged, selection: Select
         values = {}
         for parameter in (term.effect.parameter(name) for name in term.own):
             value, half = term.values[parameter.name], half_of.get(parameter.name, 0.0)
-            low, high = judged.moments.get((place, parameter.name), (value - half, value + half))
-            values[parameter.name] = Value(rounded(value), (rounded(low), rounded(high)), parameter.unit)
+            interval = judged.moments.get((place, parameter.name), (value - half, value + half))
+            values[parameter.name] = Value.of(value, interval, parameter.unit)
         tied = [other for other in selection.tied.get(term.key, []) if other != term.place]
         names = [other.beside(term.place) for other in tied]
         advice = _experiment(model, term.effect, tied[0].effect) if tied else None
@@ -564,15 +565,12 @@ def unobservable(selection: Selection, least_Nm: Callable[[Array], float] | None
         if candidate.multiplicity > 1.0 or candidate.place in seen:
             continue
         seen.add(candidate.place)
-        effect = candidate.effect
         information = float(np.sum(offered.whitening.apply(response)[0] ** 2))
         smallest = _VISIBLE / np.sqrt(information) if information > 0.0 else None
         if smallest is not None and least_Nm is not None:
             smallest = max(smallest, least_Nm(response[0, 0]) / rms(response[0, 0]))
         if smallest is None or smallest > candidate.size:
-            visible = None if smallest is None else rounded(float(smallest))
-            unit = effect.parameter(effect.strength[0]).unit
-            result.append(Unobservable(effect.id, candidate.axis, visible, unit, effect.shown_by, candidate.section))
+            result.append(Unobservable.of(candidate, smallest, candidate.effect.shown_by))
     return result
 
 
@@ -588,10 +586,9 @@ def _waves_too_fast(space: Space, proposer: Proposer, selection: Selection) -> l
             smallest = _VISIBLE / float(np.sqrt(information)) if information > 0.0 else float("inf")
             if smallest <= wave.size:
                 continue
-            effect, order = wave.effect, wave.coordinates()[-1]
-            unit, visible = effect.parameter(effect.strength[0]).unit, rounded(smallest) if information > 0.0 else None
-            advice = f"{effect.shown_by}, for orders from {order:g} on slower than this"
-            result.append(Unobservable(effect.id, wave.axis, visible, unit, advice, order=float(order)))
+            order = float(wave.coordinates()[-1])
+            advice = f"{wave.effect.shown_by}, for orders from {order:g} on slower than this"
+            result.append(Unobservable.of(wave, smallest, advice, order=order))
             break
     return result
 
@@ -600,8 +597,7 @@ def _unseen_resonances(space: Space, proposer: Proposer, selection: Selection) -
     """Effects with a frequency that these data could show at low frequencies alone, or at none."""
     result = []
     for unseen in first_unseen(space, proposer, selection, _VISIBLE):
-        effect, first_Hz = unseen.term.effect, float(f"{unseen.frequency_Hz:.3g}")
-        visible = rounded(unseen.smallest) if np.isfinite(unseen.smallest) else None
-        unit, advice = effect.parameter(effect.strength[0]).unit, f"{effect.shown_by}, for {first_Hz:g} Hz and above"
-        result.append(Unobservable(effect.id, unseen.term.axis, visible, unit, advice, frequency_Hz=first_Hz))
+        first_Hz = float(f"{unseen.frequency_Hz:.3g}")
+        advice = f"{unseen.term.effect.shown_by}, for {first_Hz:g} Hz and above"
+        result.append(Unobservable.of(unseen.term, unseen.smallest, advice, frequency_Hz=first_Hz))
     return result

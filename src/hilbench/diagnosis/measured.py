@@ -188,7 +188,7 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         return {axis: np.asarray(recording[key], np.float64) for axis, key in names.items() if key in recording}
 
     n = len(recording)
-    is_identified = free and all(name in recording for name in commands)
+    commanded = free and all(name in recording for name in commands)
     boundary = np.zeros((n, 2))
     if web:
         boundary = np.column_stack([np.asarray(recording[name], np.float64) for name in _BOUNDARY])
@@ -200,7 +200,7 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         t_s=recording.time_s - recording.time_s[0],
         period_s=period_s,
         commands_m_s=np.column_stack([np.asarray(recording[name], np.float64) for name in commands])
-        if is_identified
+        if commanded
         else np.empty((n, 0)),
         boundary=boundary,
         tau_Nm=channels(torques),
@@ -436,13 +436,13 @@ def _check_positions(measured: Measured, model: Machine, place: str | Path) -> N
     for axis, x in measured.x_m.items():
         if axis > measured.commands_m_s.shape[1]:
             continue
-        is_identified = float(np.sum(np.abs(measured.commands_m_s[:-1, axis - 1]))) * measured.period_s
+        commanded = float(np.sum(np.abs(measured.commands_m_s[:-1, axis - 1]))) * measured.period_s
         moved = float(np.sum(np.abs(np.diff(x[:: max(1, round(0.1 / measured.period_s))]))))
-        if is_identified > 0.1 and not 0.5 < moved / is_identified < 2.0:
+        if commanded > 0.1 and not 0.5 < moved / commanded < 2.0:
             raise UnusableInputError(
                 place,
                 f"channel {machines.position_channel(model, axis)} moves {moved:.4g} while"
-                f" {machines.speed_channel(model, axis, '_cmd')} says {is_identified:.4g} {model.position_unit},"
+                f" {machines.speed_channel(model, axis, '_cmd')} says {commanded:.4g} {model.position_unit},"
                 f" expected position in {model.position_unit} and speed in {machines.speed_unit(model)}",
             )
 

@@ -24,10 +24,9 @@ from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.residual_noise import Uncertainty
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.steps import CandidateSet
-from hilbench.diagnosis.stretched_problem import STRETCHES, basis, without
-from hilbench.diagnosis.terms import Term, parts
+from hilbench.diagnosis.stretched_problem import STRETCHES, basis, own_share
+from hilbench.diagnosis.terms import RANK, Term, parts
 from hilbench.plant.effect import Domain
-from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 
 Array = NDArray[np.float64]
 
@@ -40,7 +39,6 @@ TIED: Final = 0.03
 _CLEARLY: Final = 1.5
 #: Share of what any order explains from which a whole one is named instead.
 WHOLE: Final = 0.75
-RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS + STATION_EFFECTS)}
 
 
 @dataclass(frozen=True)
@@ -180,6 +178,14 @@ def _apart(one: Fit, other: Fit, sure: Uncertainty, other_sure: Uncertainty) -> 
 _OWN_SHARE: Final = 0.25
 
 
+def is_in_known_band(space: Space, term: Term) -> bool:
+    """False of a term that swings at a frequency at which the measured motion is noise more than motion."""
+    predictor = space.predictor
+    if not term.swings or not isinstance(predictor, OnMeasuredMotion):
+        return True
+    return term.values["frequency_Hz"] <= predictor.known_to_Hz
+
+
 def is_on_one_sine(space: Space) -> bool:
     """True if a lone axis moves to and fro by one steady sine."""
     return isinstance(space.predictor, OnMeasuredMotion) and space.predictor.sine_Hz is not None
@@ -197,7 +203,7 @@ def identifiable_on_one_sine(space: Space, terms: list[Term], offered: Candidate
     counted = alike[..., predictor.rows]
     known = basis(counted[np.any(counted, axis=(1, 2))].reshape(-1, counted.shape[1] * counted.shape[2]))
     return [
-        term.swings or _is_law_of_motion(term) or _own_share(response[..., predictor.rows], known) >= _OWN_SHARE
+        term.swings or _is_law_of_motion(term) or own_share(response[..., predictor.rows], known) >= _OWN_SHARE
         for term, response in zip(offered.candidates, offered.responses, strict=True)
     ]
 
@@ -205,8 +211,3 @@ def identifiable_on_one_sine(space: Space, terms: list[Term], offered: Candidate
 def _is_law_of_motion(term: Term) -> bool:
     """Friction, offset and inertia: without them no other law is read aright."""
     return not term.effect.removable or (term.effect.domain is Domain.INERTIA and not term.swings)
-
-
-def _own_share(response: Array, known: Array) -> float:
-    """Share of a response (J, signals, n) that a basis (B, signals·n) leaves of it."""
-    return float(np.sum(without(response, known) ** 2)) / max(float(np.sum(response**2)), 1e-300)

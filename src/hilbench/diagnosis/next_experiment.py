@@ -132,7 +132,7 @@ class Question:
         """All of them, in this order."""
         return [self.with_it, self.without, *self.instead]
 
-    def is_identified(self, predicted: Array) -> float:
+    def answered_by(self, predicted: Array) -> float:
         """By predictions (models, n), in units of the noise: how far they lie apart, squared, with the other effect
         fitted."""
         with_it, without, *instead = predicted
@@ -201,11 +201,11 @@ def propose(found: Diagnosis, reach: Reach) -> NextExperiment | None:
     sampled_s = _PERIOD_S if lone else None
     questions = list(questions_of(found, lambda axis: kind.sizes(model, axis, reach.top, reach.torque_Nm, sampled_s)))
 
-    def is_identified(steps: list[Step]) -> Array:
+    def answers(steps: list[Step]) -> Array:
         predicted = _axis_torque(steps, found, reach) if lone else _line_signals(steps, found, reach)
-        return np.array([question.is_identified(predicted(question.models)) for question in questions])
+        return np.array([question.answered_by(predicted(question.models)) for question in questions])
 
-    return best(moves(reach, model.position_unit if lone else None), questions, is_identified)
+    return best(moves(reach, model.position_unit if lone else None), questions, answers)
 
 
 def _axis_torque(steps: list[Step], found: Diagnosis, reach: Reach) -> Callable[[list[Machine]], Array]:
@@ -293,19 +293,19 @@ def duration_s(steps: Sequence[Step]) -> float:
 
 
 def best(
-    library: Mapping[str, list[Step]], questions: Sequence[Question], is_identified: Callable[[list[Step]], Array]
+    library: Mapping[str, list[Step]], questions: Sequence[Question], answers: Callable[[list[Step]], Array]
 ) -> NextExperiment | None:
     """The move, or two, that would answer most of the questions; None where no move answers any.
 
-    library: moves from standstill to standstill, by name. is_identified: which questions (questions,) steps answer,
-    as `Question.is_identified`.
+    library: moves from standstill to standstill, by name. answers: which questions (questions,) steps answer,
+    as `Question.answered_by`.
     """
     if not questions:
         return None
     library = {name: steps for name, steps in library.items() if _takes({name: steps}, (name,)) <= LONGEST_S}
     options: list[tuple[str, ...]] = [(name,) for name in library]
     options += [pair for pair in combinations(library, 2) if _takes(library, pair) <= LONGEST_S]
-    of_move = {name: is_identified([hold(START_S), *steps]) for name, steps in library.items()}
+    of_move = {name: answers([hold(START_S), *steps]) for name, steps in library.items()}
     chosen, score = None, 0.0
     for names in options:
         # What moves tell adds up; longer ones have to tell more.

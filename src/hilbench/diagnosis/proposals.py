@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.noise import rms
 from hilbench.diagnosis.terms import Place, Term
 from hilbench.plant.effect import Domain, Effect, MachineSizes, ProbeOver, Section
 from hilbench.plant.model_file import Machine
@@ -79,7 +80,7 @@ class Proposer:
             speeds.append(np.abs(np.diff(data.x_m[1])) / data.period_s)
         self._usual_m_s = float(np.median(np.concatenate([v for v in speeds[-2:] if v.size] or [np.ones(1)])))
         self._top_m_s = max((float(np.max(v)) for v in speeds if v.size), default=1.0)
-        self._torque_Nm = max(float(np.sqrt(np.mean(tau**2))) for tau in data.tau_Nm.values())
+        self._torque_Nm = max(rms(tau) for tau in data.tau_Nm.values())
 
     def sizes(self, axis: int | None) -> MachineSizes:
         """Usual sizes at an axis of the machine (None: the first), by its model and how it ran."""

@@ -15,6 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis.noise import rms
+
 Array = NDArray[np.float64]
 
 _BINS: Final = 12
@@ -231,7 +233,7 @@ def beyond_noise(
     """
     found = []
     for k in signals:
-        left = float(np.sqrt(np.mean(residual[k, rows] ** 2)))
+        left = rms(residual[k, rows])
         ratio = left / max(float(believed[k]), 1e-300)
         detail = f"rms {left:.2g}, {ratio:.2g} times what it is known to"
         found.append(Misfit(names[k], "in all", detail, ratio, _MOST_BEYOND_NOISE, "always"))
@@ -240,4 +242,4 @@ def beyond_noise(
 
 def ratios(residual: Array, rows: NDArray[np.bool_], floors: Mapping[int, float]) -> dict[int, float]:
     """Rms of residuals (signals, n) over the floor, by signal."""
-    return {k: float(np.sqrt(np.mean(residual[k, rows] ** 2)) / floor) for k, floor in floors.items()}
+    return {k: rms(residual[k, rows]) / floor for k, floor in floors.items()}

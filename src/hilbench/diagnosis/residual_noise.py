@@ -102,11 +102,10 @@ def with_doubts(
     """
     count = len(columns)
     wide = np.concatenate([columns, shapes])
-    is_identified = np.maximum(np.diag(uncertainty(wide, residual).covariance), _variances_by_lines(wide, residual))[
-        count:
-    ]
+    variances = np.maximum(np.diag(uncertainty(wide, residual).covariance), _variances_by_lines(wide, residual))
+    variance = variances[count:]
     found = _least_squares(wide, residual.reshape(1, -1))[count:, 0]
-    off = np.sqrt((found / (1.0 + is_identified)) ** 2 + is_identified / (1.0 + is_identified))
+    off = np.sqrt((found / (1.0 + variance)) ** 2 + variance / (1.0 + variance))
     moved = _least_squares(columns, shapes.reshape(len(shapes), -1)) * off
     moved[~doubted] = 0.0
     larger = _variances_by_lines(columns, residual) / np.maximum(np.diag(known.covariance), 1e-300)
@@ -127,10 +126,10 @@ def with_guess(known: Uncertainty, columns: Array, residual: Array, guess: Array
     if own >= _TOLD * float(np.sum(guess**2)):
         return known
     wide = np.concatenate([columns, guess])
-    is_identified = float(uncertainty(wide, residual).covariance[-1, -1])
+    variance = float(uncertainty(wide, residual).covariance[-1, -1])
     found = float(_least_squares(wide, residual.reshape(1, -1))[-1, 0])
-    pushed = max(is_identified, float(np.sum(residual**2)) / max(own, 1e-300))
-    moved = making_up * float(np.sqrt((found / (1.0 + is_identified)) ** 2 + pushed / (1.0 + pushed)))
+    pushed = max(variance, float(np.sum(residual**2)) / max(own, 1e-300))
+    moved = making_up * float(np.sqrt((found / (1.0 + variance)) ** 2 + pushed / (1.0 + pushed)))
     return Uncertainty(known.covariance + moved @ moved.T, known.freedom)
 
 
@@ -141,11 +140,10 @@ def by_waves(columns: Array, residual: Array, shapes: Array, waves: Array) -> Un
     waves (W, n): all that repeats itself as the motion does, each of which may be left as much as any other.
     """
     known, _ = np.linalg.qr(waves.T)
-    is_identified, left, off = columns @ known, residual @ known, shapes @ known
+    repeated, left, off = columns @ known, residual @ known, shapes @ known
     freedom = float(max(known.shape[1] - len(columns), 1))
-    size = np.maximum(np.linalg.norm(is_identified, axis=1), 1e-300)
-    scaled = is_identified / size[:, None]
-    solving = np.linalg.pinv(scaled @ scaled.T, rcond=1e-12, hermitian=True) @ scaled / size[:, None]
+    size, scaled, inverse = _scaled(repeated)
+    solving = inverse @ scaled / size[:, None]
     covariance = solving @ (np.eye(known.shape[1]) * float(left @ left) / freedom + off.T @ off) @ solving.T
     return Uncertainty(covariance, np.full(len(columns), freedom))
 
@@ -160,9 +158,7 @@ def with_noisy_columns(
     (K, n): of what they explain together. Any share of the residual may be each of the noises: none, all, and what is
     between are as likely.
     """
-    size = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
-    scaled = columns / size[:, None]
-    inverse = np.linalg.pinv(scaled @ scaled.T, rcond=1e-12, hermitian=True)
+    size, _, inverse = _scaled(columns)
     count = noisy.shape[1]
     variance = np.sum(residual**2) / np.maximum(np.sum(explained**2, axis=-1), 1e-300)
     together = variance[:, None] * np.einsum("kcn,kn->kc", noisy, explained)
@@ -174,22 +170,24 @@ def with_noisy_columns(
 
 def _least_squares(columns: Array, values: Array) -> Array:
     """Coordinates (J, K) of values (K, signals·n) by columns (J, signals, n)."""
-    flat = columns.reshape(len(columns), -1)
-    size = np.sqrt(np.maximum(np.einsum("ij,ij->i", flat, flat), 1e-300))
-    flat = flat / size[:, None]
-    inverse = np.linalg.pinv(flat @ flat.T, rcond=1e-12, hermitian=True)
-    return np.asarray(inverse @ (flat @ values.T) / size[:, None])
+    size, scaled, inverse = _scaled(columns.reshape(len(columns), -1))
+    return np.asarray(inverse @ (scaled @ values.T) / size[:, None])
+
+
+def _scaled(columns: Array) -> tuple[Array, Array, Array]:
+    """Sizes (J,) of columns (J, n), the columns of size 1 that they are a multiple of, and the inverse of their Gram
+    matrix."""
+    size = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
+    scaled = columns / size[:, None]
+    return size, scaled, np.linalg.pinv(scaled @ scaled.T, rcond=1e-12, hermitian=True)
 
 
 def _variances_by_lines(columns: Array, residual: Array) -> Array:
     """(J,): variances of least squares, with what is left at each frequency as the noise there, as if the fit had not
     seen it (MacKinnon and White 1985)."""
     count, _, n = columns.shape
-    size = np.sqrt(np.maximum(np.sum(columns**2, axis=(1, 2)), 1e-300))
-    scaled = columns / size[:, None, None]
-    flat = scaled.reshape(count, -1)
-    inverse = np.linalg.pinv(flat @ flat.T, rcond=1e-12, hermitian=True)
-    spectra = np.fft.rfft(scaled, axis=-1)
+    size, scaled, inverse = _scaled(columns.reshape(count, -1))
+    spectra = np.fft.rfft(scaled.reshape(columns.shape), axis=-1)
     weights = np.full(n // 2 + 1, 2.0 / n)
     weights[0] = 1.0 / n
     taken = 0.5 * n * weights * np.real(np.einsum("jsf,jk,ksf->sf", spectra.conj(), inverse, spectra)) * weights

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
-from hilbench.diagnosis.measured_rules import least_share
+from hilbench.diagnosis.measured_rules import is_in_known_band, least_share
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.select import Selection
 from hilbench.diagnosis.space import Space
@@ -141,7 +141,8 @@ def _smallest(
         left = share * float(np.sum(fit.residual[..., rows] ** 2))
         smallest = np.maximum(smallest, np.sqrt(left / np.maximum(seen - share * whole, 1e-300)))
     upper = looked_at[0].effect.parameter(looked_at[0].effect.strength[0]).upper
-    return np.where(smallest > upper, np.inf, smallest)
+    known = [is_in_known_band(space, term) for term in [*looked_at, *between]]
+    return np.where((smallest <= upper) & known, smallest, np.inf)
 
 
 def _squares(responses: Array, beside: Array, tried: int) -> tuple[Array, Array]:

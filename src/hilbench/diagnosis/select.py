@@ -23,8 +23,7 @@ from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Space, finest
 from hilbench.diagnosis.steps import MARGIN, TIED, CandidateSet, Steps, price
-from hilbench.diagnosis.terms import Key, Place, Term, parts
-from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
+from hilbench.diagnosis.terms import RANK, Key, Place, Term, parts
 
 Array = NDArray[np.float64]
 Announce = Callable[[str, float], None]
@@ -33,8 +32,6 @@ Announce = Callable[[str, float], None]
 _ALTERNATIVES: Final = 7
 #: Difference of the criterion up to which a step of E is not given up for what the vocabulary does not have.
 _DECISIVE: Final = 20.0
-#: Among tied explanations the one that stands first in the vocabulary is named.
-_RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS + STATION_EFFECTS)}
 #: Share of what one term does that another has to do as well to be started where both do the same.
 _ACTS_ALIKE: Final = 0.98
 #: Where play makes the sum of squares rough the strength is looked for beside the one that acts as strongly: up to
@@ -109,7 +106,7 @@ class Alternatives:
                     found = fit(self._space, fine, self._with_closest_strength(fine, close.terms, k, alike))
                     # On a rough ground another point that is a little lower is no better explanation.
                     difference = max(found.train + found.test + cost - close.train - close.test, -TIED)
-                simpler = abs(difference) <= TIED and _RANK[terms[0].effect.id] < _RANK[term.effect.id]
+                simpler = abs(difference) <= TIED and RANK[terms[0].effect.id] < RANK[term.effect.id]
                 better = difference < -TIED or simpler
                 # With an equally good explanation another term may be superfluous: two effects replace three.
                 if better or (

@@ -27,7 +27,6 @@ from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.fit_with_residual_noise import fitted, stated_uncertainty, uncertainty_of
 from hilbench.diagnosis.measured_rules import (
     LEAST_SHARE,
-    RANK,
     TIED,
     WHOLE,
     Offer,
@@ -36,6 +35,7 @@ from hilbench.diagnosis.measured_rules import (
     in_every_band,
     in_order,
     is_beside_a_whole_order,
+    is_in_known_band,
     is_on_one_sine,
     least_share,
 )
@@ -46,8 +46,8 @@ from hilbench.diagnosis.select import Selection
 from hilbench.diagnosis.side_bands import NEAR, SideBands, is_near_present, order_of
 from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.steps import CandidateSet
-from hilbench.diagnosis.stretched_problem import StretchedProblem, basis, without
-from hilbench.diagnosis.terms import Key, Place, Term, parts, strength_parts
+from hilbench.diagnosis.stretched_problem import StretchedProblem, basis, own_share, without
+from hilbench.diagnosis.terms import RANK, Key, Place, Term, parts, strength_parts
 
 Array = NDArray[np.float64]
 Announce = Callable[[str, float], None]
@@ -132,7 +132,8 @@ class MeasuredSearch:
     def _offered(self, current: Fit) -> CandidateSet:
         """Every candidate with its response; orders and frequencies from the residual's spectrum."""
         space = self._space
-        candidates = [t for t in self._proposer.plain() if not any(map(t.overlaps, current.terms))]
+        plain = self._proposer.plain()
+        candidates = [t for t in plain if not any(map(t.overlaps, current.terms)) and is_in_known_band(space, t)]
         responses = space.strengths(current.terms, current.residual, candidates)
         own = space.point(current.terms, current.residual).derivatives
         laws = np.concatenate([own, *(r for t, r in zip(candidates, responses, strict=True) if not t.has_phase)])
@@ -140,14 +141,14 @@ class MeasuredSearch:
         is_identified = [
             not term.has_phase
             or term.effect.id in self._as_simple
-            or self._own_share_beside(moving, response) >= _OWN_SHARE
+            or own_share(self._counted(response), moving) >= _OWN_SHARE
             for term, response in zip(candidates, responses, strict=True)
         ]
         candidates, responses = list(compress(candidates, is_identified)), list(compress(responses, is_identified))
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         searched = self._searched(current, white)
         more = space.strengths(current.terms, current.residual, searched)
-        is_identified = [self._own_share_beside(moving, response) >= _OWN_SHARE_OF_WAVE for response in more]
+        is_identified = [own_share(self._counted(response), moving) >= _OWN_SHARE_OF_WAVE for response in more]
         searched, more = list(compress(searched, is_identified)), list(compress(more, is_identified))
         return CandidateSet(white, current.residual, own, candidates + searched, responses + more)
 
@@ -169,11 +170,6 @@ class MeasuredSearch:
                 found.append(self._proposer.tuned(term, left, masked, self._space.predictor.every)[0])
         found = [term for term in found if not is_near_present(self._space, self._proposer, term, current)]
         return found + [whole for term in found for whole in self._proposer.at_whole_orders(term)]
-
-    def _own_share_beside(self, known: Array, response: Array) -> float:
-        """Share of a response (J, signals, n) that a basis (B, signals·rows) leaves of it in the rows that count."""
-        counted = self._counted(response)
-        return float(np.sum(without(counted, known) ** 2)) / max(float(np.sum(counted**2)), 1e-300)
 
     def _masked(self, values: Array) -> Array:
         """Values (…, n) with zeros in the rows that do not count."""
@@ -241,6 +237,8 @@ class MeasuredSearch:
         offers = [offer for offer in offers if not is_beside_a_whole_order(offer, whole)]
         for offer in in_order(offers, self._as_simple)[:_CONTENDERS]:
             found = fitted(self._space, [*current.terms, offer.term])
+            if not all(is_in_known_band(self._space, term) for term in found.terms):
+                continue
             left = self._counted(self._side_bands(current).taken_out_of(found.residual))
             if float(np.sum(left**2)) < (1.0 - least_share(offer.term)) * before:
                 return found

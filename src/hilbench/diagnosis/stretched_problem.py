@@ -122,6 +122,11 @@ def spanning(columns: Array, rows: NDArray[np.bool_]) -> Array:
     return np.asarray((of[:, kept] / sizes[kept]).T @ scaled)
 
 
+def own_share(response: Array, known: Array) -> float:
+    """Share of a response (J, signals, n) that a basis (B, signals·n) leaves of it."""
+    return float(np.sum(without(response, known) ** 2)) / max(float(np.sum(response**2)), 1e-300)
+
+
 def without(columns: Array, basis: Array) -> Array:
     """Columns (J, signals, n) without what they have of the rows of a basis (B, signals·n)."""
     flat = columns.reshape(len(columns), -1)

@@ -10,13 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import atan2, cos, hypot, sin
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
 from hilbench.plant.effect import Effect, ProbeOver, Section
+from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 
@@ -53,6 +54,9 @@ class Place(NamedTuple):
         """Name of what is tied with another: with its part of the machine where that is not the other's."""
         return self.effect if self.where in ("", other.where) else f"{self.effect} ({self.where})"
 
+
+#: Place of an effect in the table: among explanations that do as well the first is named.
+RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS + STATION_EFFECTS)}
 
 #: Place, slot and part of a term.
 Key = tuple[Place, int, str | None]

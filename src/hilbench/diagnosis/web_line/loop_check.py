@@ -85,7 +85,7 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class ProposalOutcome:
+class DriveRecord:
     """Data of one axis: its commands, motion and torque."""
 
     axis: int
@@ -100,7 +100,7 @@ class ProposalOutcome:
 
 
 def loop_of(
-    is_identified: ProposalOutcome,
+    drive: DriveRecord,
     model: ModelParameters,
     period_s: float,
     thin: Callable[[Array], Array],
@@ -114,11 +114,11 @@ def loop_of(
     drives = model.drives
     if drives is None or np.count_nonzero(rows) < 100:
         return None
-    axis = is_identified.axis
+    axis = drive.axis
     kp, ki = per_item(drives.velocity_kp_Nm_s_per_rad, axis), per_item(drives.velocity_ki_Nm_per_rad, axis)
     lag_s = per_item(drives.current_loop_time_constant_s, axis)
     limit = _LIMITED * per_item(drives.torque_limit_Nm, axis)
-    limited = uniform_filter1d((np.abs(is_identified.torque_Nm) > limit).astype(np.float64), round(0.5 / period_s) | 1)
+    limited = uniform_filter1d((np.abs(drive.torque_Nm) > limit).astype(np.float64), round(0.5 / period_s) | 1)
     rows = rows & (np.abs(thin(limited)) < 1e-6)
     window = max(3, round(_WINDOW_S / row_s))
 
@@ -127,13 +127,13 @@ def loop_of(
 
     def of_rows(thinned: Array) -> Array:
         mean = uniform_filter1d(thinned * weight, window, mode="constant")
-        return np.asarray((thinned - mean / share)[rows] / is_identified.floor_Nm)
+        return np.asarray((thinned - mean / share)[rows] / drive.floor_Nm)
 
     def seen(values: Array) -> Array:
         return of_rows(thin(values))
 
-    torque = seen(is_identified.torque_Nm)
-    terms = _loop_terms(is_identified, model.motor_rad_per_m(axis), period_s, drives.sample_time_s)
+    torque = seen(drive.torque_Nm)
+    terms = _loop_terms(drive, model.motor_rad_per_m(axis), period_s, drives.sample_time_s)
 
     def columns(lag: float) -> Array:
         return np.array([seen(each) for each in terms(lag)])
@@ -161,14 +161,14 @@ def loop_of(
     mine = float(np.sum(rest**2))
     is_fed_forward = False
     if mine - square > _DIFFERENT:
-        beside = np.array([of_rows(each) for each in is_identified.fed_forward])
+        beside = np.array([of_rows(each) for each in drive.fed_forward])
         with_mine, shares = fitted(beside, rest)
         # What is left out of the torque is missing in both: what the loops made of it, and what the motion needs.
         left_out = float(shares[0])
         is_fed_forward = bool(
             with_mine < _UNDERSTOOD**2 * len(torque)
-            and abs(is_identified.lacking) > _LEAST_SHARE * is_identified.inertia
-            and abs(left_out - is_identified.lacking) < _SAME * abs(is_identified.lacking)
+            and abs(drive.lacking) > _LEAST_SHARE * drive.inertia
+            and abs(left_out - drive.lacking) < _SAME * abs(drive.lacking)
         )
     slope = (theta @ columns(best_s + 2e-4) - theta @ at) / 2e-4
     jacobian = np.vstack([at, slope])
@@ -180,18 +180,18 @@ def loop_of(
 
 
 def _loop_terms(
-    is_identified: ProposalOutcome, rad_per_m: float, period_s: float, sample_s: float
+    drive: DriveRecord, rad_per_m: float, period_s: float, sample_s: float
 ) -> Callable[[float], tuple[Array, Array]]:
     """Factors of kp and ki, at the rows (n,), for a lag of the current loop."""
-    n = len(is_identified.command_m_s)
+    n = len(drive.command_m_s)
     per_row = max(1, round(period_s / sample_s))
     at = np.arange(n * per_row) * (period_s / per_row)
-    fine = np.linspace(0.0, (n - 1) * period_s, len(is_identified.speed_m_s))
-    command = np.repeat(is_identified.command_m_s, per_row)
-    error = rad_per_m * (command - np.interp(at, fine, is_identified.speed_m_s))
+    fine = np.linspace(0.0, (n - 1) * period_s, len(drive.speed_m_s))
+    command = np.repeat(drive.command_m_s, per_row)
+    error = rad_per_m * (command - np.interp(at, fine, drive.speed_m_s))
     asked = np.concatenate([[0.0], np.cumsum(command)]) * (period_s / per_row)
     # A sample's integral holds its own error already: the sum of the speeds reaches half a sample ahead.
-    integral = rad_per_m * (asked[1:] - np.interp(at + 0.5 * period_s / per_row, fine, is_identified.travel_m))
+    integral = rad_per_m * (asked[1:] - np.interp(at + 0.5 * period_s / per_row, fine, drive.travel_m))
     integral -= np.mean(integral)
 
     def lagging(lag_s: float) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.diagnosis.smooth_motion import Thinning, integrated, low_passed, smoothed
 from hilbench.diagnosis.web_line.free_run import of_span, remembered_m
-from hilbench.diagnosis.web_line.loop_check import Loop, ProposalOutcome, loop_of
+from hilbench.diagnosis.web_line.loop_check import DriveRecord, Loop, loop_of
 from hilbench.diagnosis.web_tensions import tension_names
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import layout as lay
@@ -205,9 +205,9 @@ class LineOnMeasuredMotion:
             like = np.vstack([moved, np.ones_like(beyond)])[:, self.rows]
             lacking = float(np.linalg.lstsq(like.T, beyond[self.rows], rcond=None)[0][0])
             of_motion = moved, lacking, Nm_per_acceleration(self._model, axis)
-            is_identified = ProposalOutcome(axis, command, x, v, torque, self._torque_floors[k], *of_motion)
+            drive = DriveRecord(axis, command, x, v, torque, self._torque_floors[k], *of_motion)
             row_s = self.every * data.period_s
-            loop = loop_of(is_identified, self._model, data.period_s, self._thinning.apply, self.rows, row_s)
+            loop = loop_of(drive, self._model, data.period_s, self._thinning.apply, self.rows, row_s)
             found += [] if loop is None else [loop]
         return found
 
