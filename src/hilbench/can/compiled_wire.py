@@ -1,4 +1,4 @@
-"""`wire.bits_on_wire` for compiled callers: the same tables, one data frame."""
+"""Frames on the wire for compiled callers: records of the embedded bus; `wire.bits_on_wire`, with the same tables."""
 
 from __future__ import annotations
 
@@ -7,6 +7,12 @@ from numpy.typing import NDArray
 
 from hilbench.can import wire
 from hilbench.compiled import compiled
+
+OCTET = np.dtype(np.uint8)
+#: `protocol.CAN_RECORD` and `protocol.STAMPED_CAN_RECORD`, with the data in one number.
+RECORD = np.dtype([("can_id", "u4"), ("size", "u1"), ("flags", "u1"), ("padding", "u2"), ("data", "u8")])
+STAMPED = np.dtype([*RECORD.descr, ("time_ns", "i8")])
+RECORD_BYTES, STAMPED_BYTES = RECORD.itemsize, STAMPED.itemsize
 
 _STUFF = np.array(wire.STUFF, np.int64)
 _STUFF_LAST_7 = np.array(wire.STUFF_LAST_7, np.int64)

@@ -8,248 +8,186 @@ epoll_wait(2), recv(2) and send(2) of the C library of the process.
 from __future__ import annotations
 
 import platform
-from typing import Final
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
 from hilbench.c_library import MSG_DONTWAIT, MSG_NOSIGNAL, epoll_wait, recv, send
 from hilbench.can import protocol
-from hilbench.can.compiled_wire import bits_on_wire
-from hilbench.compiled import COUNT, INDICES, TABLE, compiled, entry_point, viewed
-
-_OCTET, _WORD = np.dtype(np.uint8), np.dtype(np.uint32)
+from hilbench.can.compiled_wire import OCTET, RECORD, RECORD_BYTES, STAMPED, STAMPED_BYTES, bits_on_wire
+from hilbench.compiled import COUNT, TABLE, Wholes, arrays_in, entry_point, merged, record_type, records, viewed
 
 #: Receivers of a frame are the bits of a number.
 MAX_STATIONS: Final = 62
 #: If more stations have sent at once, it is for the hub.
 MAX_READY: Final = 16
-#: Rows of `known`; a power of two, of which a half is used at most.
-KNOWN_ROWS: Final = 8192
-_LAST_ROW = KNOWN_ROWS - 1
+#: Lengths of data frames with an identifier of 11 bits, which are those that can be known.
+LENGTHS, IDENTIFIERS = 9, 1 << 11
 
-#: Columns of a station: records in one packet to it, the header of the next one, 1 if it receives its own frames.
-LIMIT, HEADER, OWN, OF_STATION = range(4)
-#: Columns of a known frame: its key, `key_of` plus 1 (0: empty row); `wire.header`, data bytes
-#: on the wire, `arbitration.priority`, stations that receive it (a bit each).
-KEY, CRC, STUFFING, BITS, DATA_BYTES, PRIORITY, RECEIVED_BY, OF_FRAME = range(8)
-#: Columns of a received packet: its station, size in bytes (-1: none came after all), its frames, the next of them.
-STATION, SIZE, FRAMES, NEXT, OF_PACKET = range(5)
-#: Columns of a frame that was carried: a `protocol.STAMPED_CAN_RECORD`, its receivers.
-STAMPED, DATA, TIME_NS, TO, OF_CARRIED = range(5)
-#: Places in `state`. Of the hub: bit/s. Of both: bus time. Of the loop: frames carried, packets
-#: left for the hub, frames left (all are carried), the first station without all of its frames, and from
-#: which of them on.
-(
-    BITRATE,
-    FREE_NS,
-    CARRIED_FRAMES,
-    CARRIED_BITS,
-    PACKETS_LEFT,
-    FRAMES_LEFT,
-    RECEIVER,
-    RECEIVED,
-    OF_STATE,
-) = range(9)
+#: A station: its descriptor, records in one packet to it, the header of the next one, 1 if it receives its own frames.
+STATION = record_type("descriptor", "limit", "header", "own", of=np.int64)
+#: A known frame, by identifier and length: `wire.header` (no bits: it is not known), stations that receive it.
+KNOWN = record_type("crc", "stuffing", "bits", "received_by", of=np.int64)
+#: A received packet: its station, size in bytes (-1: none came after all), its frames, the next of them.
+PACKET = record_type("station", "size", "frames", "next", of=np.int64)
+#: Frames that were carried, in the place of the stamp with their receivers.
+CARRIED = np.dtype([*STAMPED.descr, ("receivers", "i8")])
+#: Of the hub: bit/s. Of both: bus time. Of the loop: frames carried and their bits, packets left for the hub, frames
+#: left (all are carried), the first station without all of its frames, and from which of them on.
+STATE = record_type(
+    *("bitrate", "free_ns", "frames", "bits", "packets_left", "frames_left", "receiver", "received"), of=np.int64
+)
 
-PACKET_WORDS: Final = protocol.PACKET_BYTES // 8
-# A record in words of 8 bytes, words of 4, and bytes; a packet's header is one word of 8.
-_RECORD, _RECORD_4, _RECORD_1 = 2, 4, protocol.CAN_RECORD.size
-_STAMPED_WORDS = protocol.STAMPED_CAN_RECORD.size // 8
-_HEADER_BYTES = protocol.HEADER.size
-_MAX_RECORDS, _CLASSICAL, _PACKET_BYTES = protocol.MAX_RECORDS, protocol.KIND_CLASSICAL, protocol.PACKET_BYTES
-MAX_CARRIED: Final = MAX_READY * _MAX_RECORDS
+_HEADER_BYTES, _CLASSICAL, _PACKET_BYTES = protocol.HEADER.size, protocol.KIND_CLASSICAL, protocol.PACKET_BYTES
+_MAX_RECORDS = protocol.MAX_RECORDS
 # struct epoll_event in words of 4 bytes, and where its descriptor is (<linux/eventpoll.h>: packed on one machine).
-EVENT_WORDS, _EVENT_DESCRIPTOR = (3, 1) if platform.machine() == "x86_64" else (4, 2)
+_EVENT_WORDS, _EVENT_DESCRIPTOR = (3, 1) if platform.machine() == "x86_64" else (4, 2)
+_WORD, _LONG_WORD = np.dtype(np.uint32), np.dtype(np.int64)
 _EPOLLIN = 1
 _SECOND_NS = 1_000_000_000
 
-Table = NDArray[np.int64]
-Row = NDArray[np.int64]
-Octets = NDArray[np.uint8]
-Words = NDArray[np.uint32]
-#: Type of an array of uint32, for entry points.
-WORDS = types.Array(types.uint32, 1, "C")
+
+class Wire(NamedTuple):
+    """Arrays of the loop: known stations and frames, and room for packets in and out."""
+
+    state: Annotated[Any, STATE]
+    known: Annotated[Any, records(KNOWN)]
+    events: Annotated[Any, records(_WORD)]
+    packets: Annotated[Any, records(PACKET)]
+    received: Annotated[Any, records(OCTET, 2)]
+    carried: Annotated[Any, records(CARRIED)]
+    out: Annotated[Any, records(OCTET)]
+    stations: Annotated[Any, records(STATION)]
+    of_descriptors: Wholes  #: stations by descriptor; -1: none
 
 
-class Tables:
-    """Arrays of the loop, all 0: known stations and frames, and room for packets in and out."""
-
-    def __init__(self) -> None:
-        self.state = np.zeros(OF_STATE, np.int64)
-        self.stations = np.zeros((MAX_STATIONS, OF_STATION), np.int64)
-        self.known = np.zeros((KNOWN_ROWS, OF_FRAME), np.int64)
-        self.received = np.zeros((MAX_READY, PACKET_WORDS), np.int64)
-        self.packets = np.zeros((MAX_READY, OF_PACKET), np.int64)
-        self.rows = np.zeros((MAX_READY, protocol.MAX_RECORDS), np.int64)
-        self.carried = np.zeros((MAX_CARRIED, OF_CARRIED), np.int64)
-
-
-def key_of(can_id: int, length: int) -> int:
-    """Key of frames that differ in their data only."""
-    return can_id << 4 | length
+def new_wire() -> Wire:
+    """A wire without stations, on which no frame is known."""
+    return Wire(
+        np.zeros(1, STATE),
+        np.zeros(IDENTIFIERS * LENGTHS, KNOWN),
+        np.zeros((MAX_READY + 1) * _EVENT_WORDS, np.uint32),
+        np.zeros(MAX_READY, PACKET),
+        np.zeros((MAX_READY, _PACKET_BYTES), np.uint8),
+        np.zeros(MAX_READY * _MAX_RECORDS, CARRIED),
+        np.zeros(_PACKET_BYTES, np.uint8),
+        np.zeros(0, STATION),
+        np.zeros(0, np.int64),
+    )
 
 
-def first_row(key: int) -> int:
-    """Row of `known` where the search for a key begins."""
-    return (key ^ key >> 7 ^ key >> 19) & _LAST_ROW
-
-
-_key_of, _first_row = compiled(key_of), compiled(first_row)
-
-
-@compiled
-def known_frames(octets: Octets, words: Words, size: int, known: Table, rows: Row) -> int:
-    """Number of frames in a packet, and their `rows` of the known ones; 0: a frame is not known."""
-    count = (size - _HEADER_BYTES) // _RECORD_1
-    if octets[0] != _CLASSICAL or (size - _HEADER_BYTES) % _RECORD_1 != 0 or not 0 < count <= _MAX_RECORDS:
-        return 0
-    for frame in range(count):
-        length = int(octets[_HEADER_BYTES + frame * _RECORD_1 + 4])
-        if length > 8:
-            return 0
-        key = _key_of(int(words[2 + frame * _RECORD_4]), length)
-        row = _first_row(key)
-        while known[row, KEY] != key + 1:
-            if known[row, KEY] == 0:
-                return 0
-            row = (row + 1) & _LAST_ROW
-        rows[frame] = row
-    return int(count)
-
-
-@compiled
-def ready(epoll: int, of_descriptors: Row, events: Words) -> int:
+@merged
+def _ready(wire: Wire, epoll: int) -> int:
     """Wait; how many stations have sent something. 0: something else has happened."""
+    events, known = wire.events, len(wire.of_descriptors)
     count = epoll_wait(epoll, events.ctypes.data, MAX_READY + 1, -1)
-    if count <= 0 or count > MAX_READY:
-        return 0
-    for at in range(count):
-        descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
-        if descriptor >= len(of_descriptors) or of_descriptors[descriptor] < 0 or events[at * EVENT_WORDS] != _EPOLLIN:
-            return 0
-    return int(count)
+    strange = count <= 0 or count > MAX_READY
+    for at in range(0 if strange else count):
+        descriptor = events[at * _EVENT_WORDS + _EVENT_DESCRIPTOR]
+        if descriptor >= known or wire.of_descriptors[descriptor] < 0 or events[at * _EVENT_WORDS] != _EPOLLIN:
+            strange = True
+    return 0 if strange else int(count)
 
 
-@compiled
-def take_in(
-    count: int,
-    of_descriptors: Row,
-    stations: Table,
-    known: Table,
-    events: Words,
-    received: Table,
-    packets: Table,
-    rows: Table,
-    octets: Octets,
-    words: Words,
-) -> bool:
+@merged
+def _frames(wire: Wire, at: int) -> int:
+    """Number of frames in a packet; 0: one is not known."""
+    size, octets = wire.packets[at].size, wire.received[at]
+    count = (size - _HEADER_BYTES) // RECORD_BYTES
+    if octets[0] != _CLASSICAL or (size - _HEADER_BYTES) % RECORD_BYTES != 0 or count > _MAX_RECORDS:
+        count = 0
+    came, unknown = viewed(octets[_HEADER_BYTES:], RECORD), 0
+    for k in range(count):
+        frame = came[k]
+        is_data = frame.can_id < IDENTIFIERS and frame.size < LENGTHS
+        unknown += not is_data or wire.known[frame.can_id * LENGTHS + frame.size].bits == 0
+    return 0 if unknown else int(count)
+
+
+@merged
+def _take(wire: Wire, count: int) -> bool:
     """`Hub._attend` of so many stations that have sent; true if all packets are of known frames."""
-    is_regular = True
+    irregular = 0
     for at in range(count):
-        descriptor = events[at * EVENT_WORDS + _EVENT_DESCRIPTOR]
-        packet = packets[at]
-        packet[STATION], packet[NEXT] = of_descriptors[descriptor], 0
-        packet[SIZE] = recv(descriptor, received.ctypes.data + at * _PACKET_BYTES, _PACKET_BYTES, MSG_DONTWAIT)
-        packet[FRAMES] = 0
-        if packet[SIZE] > _HEADER_BYTES and stations[packet[STATION], OWN] == 0:
-            packet[FRAMES] = known_frames(octets[at], words[at], packet[SIZE], known, rows[at])
-        is_regular = is_regular and packet[FRAMES] > 0
-    return is_regular
+        packet, descriptor = wire.packets[at], wire.events[at * _EVENT_WORDS + _EVENT_DESCRIPTOR]
+        packet.station, packet.next, packet.frames = wire.of_descriptors[descriptor], 0, 0
+        packet.size = recv(descriptor, wire.received.ctypes.data + at * _PACKET_BYTES, _PACKET_BYTES, MSG_DONTWAIT)
+        if packet.size > _HEADER_BYTES and wire.stations[packet.station].own == 0:
+            packet.frames = _frames(wire, at)
+        irregular += packet.frames == 0
+    return irregular == 0
 
 
-@compiled
-def carry(
-    state: Row, known: Table, packets: Table, count: int, rows: Table, received: Table, octets: Octets, carried: Table
-) -> int:
+@merged
+def _carry(wire: Wire, count: int) -> int:
     """`Medium.run(FOREVER)` with these packets in the queues of an undisturbed wire; the number of frames."""
-    over = 0
-    while True:
-        winner, row = -1, 0
+    state, packets, carried = wire.state, wire.packets, 0
+    winner = 0
+    while winner >= 0:
+        winner, lowest = -1, 0
         for at in range(count):
-            if packets[at, NEXT] == packets[at, FRAMES]:
+            if packets[at].next == packets[at].frames:
                 continue
-            head = rows[at, packets[at, NEXT]]
-            before = known[head, PRIORITY] - known[row, PRIORITY]
-            if winner < 0 or before < 0 or (before == 0 and packets[at, STATION] < packets[winner, STATION]):
-                winner, row = at, head
-        if winner < 0:
-            return over
-        frame = packets[winner, NEXT]
-        packets[winner, NEXT] = frame + 1
-        of_frame, found = known[row], carried[over]
-        data = octets[winner, _HEADER_BYTES + frame * _RECORD_1 + 8 :]
-        bits = bits_on_wire(of_frame[CRC], of_frame[STUFFING], of_frame[BITS], data, of_frame[DATA_BYTES])
-        state[FREE_NS] += bits * _SECOND_NS // state[BITRATE]
-        state[CARRIED_FRAMES] += 1
-        state[CARRIED_BITS] += bits
-        found[STAMPED], found[DATA] = received[winner, 1 + frame * _RECORD], received[winner, 2 + frame * _RECORD]
-        found[TIME_NS] = state[FREE_NS]
-        found[TO] = of_frame[RECEIVED_BY] & ~(1 << packets[winner, STATION])
-        over += 1
+            can_id = viewed(wire.received[at][_HEADER_BYTES:], RECORD)[packets[at].next].can_id
+            before = winner < 0 or can_id < lowest
+            if before or (can_id == lowest and packets[at].station < packets[winner].station):
+                winner, lowest = at, can_id
+        if winner >= 0:
+            octets, number = wire.received[winner][_HEADER_BYTES:], packets[winner].next
+            frame, found = viewed(octets, RECORD)[number], wire.carried[carried]
+            known = wire.known[frame.can_id * LENGTHS + frame.size]
+            data = octets[number * RECORD_BYTES + 8 :]
+            bits = bits_on_wire(known.crc, known.stuffing, known.bits, data, frame.size)
+            state.free_ns += bits * _SECOND_NS // state.bitrate
+            state.frames += 1
+            state.bits += bits
+            found.can_id, found.size, found.flags, found.data = frame.can_id, frame.size, frame.flags, frame.data
+            found.time_ns = state.free_ns
+            found.receivers = known.received_by & ~(1 << packets[winner].station)
+            packets[winner].next = number + 1
+            carried += 1
+    return carried
 
 
-@compiled
-def hand_out(state: Row, descriptors: Row, stations: Table, carried: Table, count: int, out: Row) -> bool:
-    """Send frames to all receivers (`Hub._hand_out`). False if a socket was full; RECEIVER, RECEIVED: resume there."""
-    for receiver in range(len(stations)):
-        station, mask, size = stations[receiver], 1 << receiver, 0
-        out[0] = station[HEADER]
+@merged
+def _hand_out(wire: Wire, count: int) -> bool:
+    """Send frames to all receivers (`Hub._hand_out`). False if a socket was full: resume at `receiver`, `received`."""
+    state, out, carried = wire.state, wire.out, wire.carried
+    packed, header = viewed(out[_HEADER_BYTES:], STAMPED), viewed(out, _LONG_WORD)
+    for receiver in range(len(wire.stations)):
+        station, mask, size = wire.stations[receiver], 1 << receiver, 0
+        header[0] = station.header
         for at in range(count):
-            if carried[at, TO] & mask != 0:
+            frame = carried[at]
+            if frame.receivers & mask != 0:
                 if size == 0:
-                    state[RECEIVER], state[RECEIVED] = receiver, at
-                out[1 + size * _STAMPED_WORDS] = carried[at, STAMPED]
-                out[2 + size * _STAMPED_WORDS] = carried[at, DATA]
-                out[3 + size * _STAMPED_WORDS] = carried[at, TIME_NS]
+                    state.receiver, state.received = receiver, at
+                record = packed[size]
+                record.can_id, record.size, record.flags = frame.can_id, frame.size, frame.flags
+                record.data, record.time_ns = frame.data, frame.time_ns
                 size += 1
-            if size == station[LIMIT] or (size > 0 and at == count - 1):
-                length = 8 * (1 + size * _STAMPED_WORDS)
-                if send(descriptors[receiver], out.ctypes.data, length, MSG_DONTWAIT | MSG_NOSIGNAL) != length:
+            if size == station.limit or (size > 0 and at == count - 1):
+                length = _HEADER_BYTES + size * STAMPED_BYTES
+                if send(station.descriptor, out.ctypes.data, length, MSG_DONTWAIT | MSG_NOSIGNAL) != length:
                     return False
                 size = 0
     return True
 
 
-#: forward(epoll, state, descriptors of the stations, stations by descriptor (-1: none), stations, known frames, room
-#: for events, packets, their columns, rows of their frames, what is carried, and a packet): until something happens
-#: that is not packets of known frames, see `state`.
-@entry_point(COUNT, INDICES, INDICES, INDICES, TABLE, TABLE, WORDS, TABLE, TABLE, TABLE, TABLE, INDICES)
-def forward(
-    epoll: int,
-    state: Row,
-    descriptors: Row,
-    of_descriptors: Row,
-    stations: Table,
-    known: Table,
-    events: Words,
-    received: Table,
-    packets: Table,
-    rows: Table,
-    carried: Table,
-    out: Row,
-) -> None:
-    octets, words = viewed(received, _OCTET), viewed(received, _WORD)
-    state[PACKETS_LEFT] = state[FRAMES_LEFT] = 0
+#: forward(epoll, table of a `Wire`): until something happens that is not packets of known frames, see `STATE`.
+@entry_point(COUNT, TABLE)
+def forward(epoll: int, table: NDArray[np.int64]) -> None:
+    wire = arrays_in(table, Wire)
+    state = wire.state
     while True:
-        count = ready(epoll, of_descriptors, events)
+        count = _ready(wire, epoll)
         if count == 0:
             return
-        if not take_in(count, of_descriptors, stations, known, events, received, packets, rows, octets, words):
-            state[PACKETS_LEFT] = count
+        if not _take(wire, count):
+            state.packets_left = count
             return
-        over = carry(state, known, packets, count, rows, received, octets, carried)
-        if not hand_out(state, descriptors, stations, carried, over, out):
-            state[FRAMES_LEFT] = over
+        carried = _carry(wire, count)
+        if not _hand_out(wire, carried):
+            state.frames_left = carried
             return
-
-
-def warm_up() -> None:
-    """Compile, or load from the cache, before a frame has to wait for it."""
-    row, table, received = (
-        np.zeros(OF_STATE, np.int64),
-        np.zeros((0, 0), np.int64),
-        np.zeros((0, PACKET_WORDS), np.int64),
-    )
-    forward(-1, row, row, row, table, table, np.zeros(0, np.uint32), received, table, table, table, row)

@@ -280,8 +280,6 @@ class Hub:
 
     def _take_frames(self, client: Client, packet: bytes) -> None:
         kind = packet[0]
-        if self._forwarder is not None:
-            self._forwarder.learn(packet, self._received_by)
         body = memoryview(packet)[protocol.HEADER.size :]
         record = protocol.FD_RECORD if kind == protocol.KIND_FD else protocol.CAN_RECORD
         known = kind == protocol.KIND_CLASSICAL or (kind == protocol.KIND_FD and client.fd)
@@ -292,10 +290,13 @@ class Hub:
         queue = self._medium.queue
         start = protocol.HEADER.size
         classical = kind == protocol.KIND_CLASSICAL
+        learn = self._forwarder.learn if self._forwarder is not None and classical else None
         for can_id, length, flags, data in record.iter_unpack(body):
             bits = _classical_bits(can_id, length, data) if classical else self._fd_bits(can_id, length, flags, data)
             if bits:
                 queue(client, can_id, packet[start : start + record.size], bits, arrival_ns)
+                if learn is not None:
+                    learn(can_id, length, self._received_by(can_id))
             else:
                 self.malformed += 1
             start += record.size

@@ -8,7 +8,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.can.compiled_wire import bits_on_wire
+from hilbench.can.compiled_wire import OCTET, bits_on_wire
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, compiled, entry_point, merged, records, viewed
 from hilbench.cycle_program import CONTINUE
@@ -27,7 +27,7 @@ _SECOND_NS = 1_000_000_000
 _DIGITS = np.frombuffer(b"0123456789ABCDEF", np.uint8).copy()
 
 Table = NDArray[np.int64]
-OCTET, _SINGLE = np.dtype(np.uint8), np.dtype(np.float32)
+_SINGLE = np.dtype(np.float32)
 #: What `exchange` and `publish` return where nothing was done: a value does not fit, a fault would follow.
 DOES_NOT_FIT = FAULT = 1
 

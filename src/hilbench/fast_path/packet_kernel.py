@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hilbench.c_library import CLOCK_MONOTONIC, MSG_DONTWAIT, MSG_NOSIGNAL, clock_gettime, recv, send
 from hilbench.can import protocol
+from hilbench.can.compiled_wire import OCTET, RECORD, RECORD_BYTES, STAMPED, STAMPED_BYTES
 from hilbench.compiled import (
     COUNT,
     TABLE,
@@ -32,7 +33,7 @@ from hilbench.compiled import (
 from hilbench.cycle_program import CONTINUE
 from hilbench.fast_path import kernel
 from hilbench.fast_path import layout as lay
-from hilbench.fast_path.kernel import OCTET, Image
+from hilbench.fast_path.kernel import Image
 from hilbench.fast_path.layout import Bytes
 
 #: What is returned in the place of CONTINUE: no packet has come yet; one is not as expected, nothing was done with it,
@@ -52,9 +53,6 @@ STATE = record_type(
 )
 #: A value that must be as it is: of these octets of a frame, under a mask.
 CHECK = record_type("frame", "offset", "width", "mask", "value", of=np.int64)
-_RECORD = [("can_id", "u4"), ("size", "u1"), ("flags", "u1"), ("padding", "u2"), ("data", "u8")]
-_SENT, _STAMPED = np.dtype(_RECORD), np.dtype([*_RECORD, ("time_ns", "i8")])
-_SENT_BYTES, _STAMPED_BYTES = _SENT.itemsize, _STAMPED.itemsize
 _WORD = np.dtype(np.uint64)
 _HEADER, _PACKET_BYTES = protocol.HEADER.size, protocol.PACKET_BYTES
 _KIND, _DROPPED_AT = protocol.KIND_CLASSICAL, 4
@@ -94,7 +92,7 @@ class PacketPort:
         count, self._lengths = len(image.frames), np.zeros(_MOST_PACKETS, np.int64)
         self._packets, self._out = (
             np.zeros(2 * _PACKET_BYTES, np.uint8),
-            np.zeros(_HEADER + _SENT_BYTES * count, np.uint8),
+            np.zeros(_HEADER + RECORD_BYTES * count, np.uint8),
         )
         self._out[:_HEADER] = np.frombuffer(protocol.HEADER.pack(_KIND, 0), np.uint8)
         state = np.zeros(1, STATE)
@@ -166,8 +164,8 @@ def _await(port: Port, first: int, last: int) -> None:
 def _stage(port: Port, end: int, length: int) -> bool:
     """Take the frames of a packet; False where one is not awaited, or frames were lost."""
     state, frames, octets = port.state, port.image.frames, port.packets[end : end + length]
-    came = viewed(octets[_HEADER:], _STAMPED)
-    fits = octets[0] == _KIND and len(came) * _STAMPED_BYTES + _HEADER == length
+    came = viewed(octets[_HEADER:], STAMPED)
+    fits = octets[0] == _KIND and len(came) * STAMPED_BYTES + _HEADER == length
     fits = fits and _number(octets, _DROPPED_AT, 4) == state.dropped
     row, count = state.first, state.last - state.first
     for k in range(len(came) if fits else 0):
@@ -242,12 +240,12 @@ def _accept(port: Port, bitrate: int) -> bool:
 def _send(port: Port, first: int, last: int) -> int:
     """Send the frames in these rows that are in this cycle; UNSENT where the bus did not take them."""
     state, frames, data = port.state, port.image.frames, viewed(port.image.data, _WORD)
-    out, count = viewed(port.out[_HEADER:], _SENT), 0
+    out, count = viewed(port.out[_HEADER:], RECORD), 0
     for k in range(first, last):
         if frames[k].bits_on_wire != 0:
             out[count].can_id, out[count].size, out[count].data = frames[k].cob_id, frames[k].size, data[k]
             count += 1
-    state.out = _HEADER + _SENT_BYTES * count
+    state.out = _HEADER + RECORD_BYTES * count
     sent = CONTINUE
     if count and send(state.descriptor, port.out.ctypes.data, state.out, MSG_DONTWAIT | MSG_NOSIGNAL) != state.out:
         sent = UNSENT
