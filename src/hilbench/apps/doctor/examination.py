@@ -139,7 +139,7 @@ def _on_bus(
 
 
 def start_nodes(link: Link, node_ids: Sequence[int], start: Start, timeout_s: float, resources: ExitStack) -> bool:
-    """Start what a run starts, until `resources` are closed; True if all nodes answer in time. Raises BenchFaultError."""
+    """Start what a run starts, until `resources` are closed; True if all nodes answer in time."""
     children = start(Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-"))))
     for child in children:
         resources.callback(child.end)
