@@ -389,12 +389,13 @@ class Decoder:
         if state.enabled:
             sample.t_s = state.experiment_time_s(sample.cycle)
             self._follow()
-        elif self._changes is None and self._first is None and self._all_enabled():
+        elif (
+            self._changes is None
+            and self._first is None
+            and all(drive.feedback.state is State.OPERATION_ENABLED for drive in nodes.drives)
+        ):
             self._enable(sample.cycle)
         return sample.bus_bits
-
-    def _all_enabled(self) -> bool:
-        return all(drive.feedback.state is State.OPERATION_ENABLED for drive in self._nodes.drives)
 
     def _enable(self, cycle: int) -> None:
         """The experiment begins with the cycle after this one."""

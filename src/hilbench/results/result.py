@@ -45,11 +45,8 @@ class _WithOptions(Strict):
     @model_serializer(mode="wrap")
     def _without_absent_options(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
         fields: dict[str, Any] = serialize(self)
-        return {name: value for name, value in fields.items() if value is not None or self._is_required(name)}
-
-    @classmethod
-    def _is_required(cls, name: str) -> bool:
-        return cls.model_fields[name].is_required()
+        known = type(self).model_fields
+        return {name: value for name, value in fields.items() if value is not None or known[name].is_required()}
 
 
 class Jitter(Strict):
@@ -115,6 +112,7 @@ class Timing(_WithOptions):
 
     def metrics(self) -> dict[str, float | None]:
         """The timing as metrics that criteria can bound."""
+        late = None if self.late is None else max((each.share_pct for each in self.late.values()), default=0.0)
         return {
             "cycles_missed": float(self.missed),
             "jitter_p99_us": self.jitter_us.p99 if self.jitter_us else None,
@@ -122,11 +120,8 @@ class Timing(_WithOptions):
             "realtime_factor": self.realtime_factor,
             "bus_load_pct": self.bus_load_pct,
             "lost_frames": None if self.lost_frames is None else float(self.lost_frames),
-            "late_samples_pct": self._late_pct(),
+            "late_samples_pct": late,
         }
-
-    def _late_pct(self) -> float | None:
-        return None if self.late is None else max((each.share_pct for each in self.late.values()), default=0.0)
 
     def warnings(self) -> list[str]:
         """What a reader of the run must know before trusting it: one line for each process that lost frames."""

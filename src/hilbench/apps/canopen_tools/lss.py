@@ -38,7 +38,7 @@ def assign(
     node_id: Annotated[int, Argument(metavar="NODE_ID", min=1, max=127)],
     identity: IdentityOption = None,
     bit_rate: Annotated[int | None, Option(metavar="KBIT/S", help="bit rate from its next start on")] = None,
-    store: Annotated[bool, Option("--store/--no-store", help="kept over a loss of power")] = True,
+    store: Annotated[bool, Option(help="kept over a loss of power")] = True,
     bus: BusOption = None,
     timeout_s: TimeoutOption = 0.1,
     force: ForceOption = False,

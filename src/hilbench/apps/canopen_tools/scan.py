@@ -25,7 +25,7 @@ def scan(
     bus: BusOption = None,
     eds: Annotated[Path, Option(help="folder of EDS files that devices are compared with")] = Path("eds"),
     listen: Annotated[float, Option(min=0.0, metavar="S", help="how long to listen first")] = 1.0,
-    ask: Annotated[bool, Option("--ask/--no-ask", help="ask every node id by SDO, or only listen")] = True,
+    ask: Annotated[bool, Option(help="ask every node id by SDO, or only listen")] = True,
     lss: Annotated[
         bool, Option("--lss", help="look for devices without a node id too (LSS fastscan, 10 s for each)")
     ] = False,

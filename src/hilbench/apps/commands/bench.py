@@ -22,9 +22,7 @@ def run(
     changes: SetOption = None,
     start: Annotated[
         bool,
-        Option(
-            "--start/--no-start", help="start simulated hardware and twin, or use those that run on the bus already"
-        ),
+        Option(help="start simulated hardware and twin, or use those that run on the bus already"),
     ] = True,
     in_process: Annotated[
         bool,
@@ -34,9 +32,7 @@ def run(
             "no monitor receives them; in real time they wait for SYNC, and no answer comes late",
         ),
     ] = False,
-    report: Annotated[
-        bool, Option("--report/--no-report", help="write report.html; hilbench report writes it later as well")
-    ] = True,
+    report: Annotated[bool, Option(help="write report.html; hilbench report writes it later as well")] = True,
     json: Annotated[
         bool,
         Option(

@@ -25,9 +25,7 @@ def replay(
     method: Annotated[str | None, Option(help="--twin: another synchronizer than the run's")] = None,
     out: Annotated[Path | None, Option(help="--twin: recording (.mf4, .csv) with the new twin's signals")] = None,
     speed: Annotated[float, Option(help="so many times as fast as it was")] = 1.0,
-    commands: Annotated[
-        bool, Option("--commands/--no-commands", help="send NMT, SYNC, RPDOs and SDO requests too: nodes obey")
-    ] = False,
+    commands: Annotated[bool, Option(help="send NMT, SYNC, RPDOs and SDO requests too: nodes obey")] = False,
     force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:

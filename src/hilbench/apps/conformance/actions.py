@@ -41,10 +41,6 @@ def _key(given: object) -> tuple[int, int]:
     return int(found[1], 16), int(found[2] or 0)
 
 
-def _listed(given: object) -> object:
-    return given if isinstance(given, list) else [given]
-
-
 #: Index and sub-index: "1017h", "1016h:1".
 Key = Annotated[tuple[int, int], BeforeValidator(_key)]
 AbortCode = Annotated[int, BeforeValidator(lambda name: ABORT_CODES.get(name, name))]
@@ -68,7 +64,8 @@ def _arguments(name: str) -> type[BaseModel]:
             kind = Annotated[kind, BeforeValidator(lambda member, kind=kind: kind.__members__.get(member, member))]
         several = each.kind is Parameter.VAR_POSITIONAL
         default = () if several else ... if each.default is Parameter.empty else each.default
-        fields[each.name] = (Annotated[list[kind], BeforeValidator(_listed)] if several else kind, default)  # type: ignore[valid-type]
+        listed = BeforeValidator(lambda given: given if isinstance(given, list) else [given])
+        fields[each.name] = (Annotated[list[kind], listed] if several else kind, default)  # type: ignore[valid-type]
     return create_model(name, __base__=Strict, **fields)
 
 

@@ -196,10 +196,6 @@ class DeviceUnderTest:
         ok = len(seen) == len(expected) and all(map(matches, expected, seen))
         return self.check(what, _frames_text(can_id, expected), _frames_text(can_id, seen), ok)
 
-    def silent(self, what: str, found: Sequence[ReceivedFrame], can_id: int) -> bool:
-        """Expect nothing of an identifier."""
-        return self.frames(what, found, can_id)
-
     # -- SDO -------------------------------------------------------------------------------------------------
 
     def exchange(self, request: bytes) -> bytes | None:

@@ -75,7 +75,7 @@ def sent_on_change(dut: DeviceUnderTest) -> None:
     """Sent on a change in OPERATIONAL, not without one, and not before the inhibit time is over."""
     pdo = dut.pdo
     dut.receive(_SOON_S)
-    dut.silent("nothing changes", dut.receive(_QUIET_S), pdo.cob_id)
+    dut.frames("nothing changes", dut.receive(_QUIET_S), pdo.cob_id)
     change(dut)
     found = dut.receive_id(pdo.cob_id, _SOON_S)
     seen = "; ".join(f"{each.can_id & COB_ID:03X} {each.data.hex(' ')}" for each in found[:4]) or "nothing"

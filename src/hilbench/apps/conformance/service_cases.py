@@ -282,7 +282,7 @@ def received_in_time(dut: DeviceUnderTest) -> None:
         for _ in range(5):
             _beat(dut, node)
             found += dut.receive(_WATCHED_MS * 0.6e-3)
-        dut.silent(f"entry {entry}: heartbeats in time", found, dut.emergency_id)
+        dut.frames(f"entry {entry}: heartbeats in time", found, dut.emergency_id)
         dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
         dut.write(0x1016, entry, 0)
         dut.forget()
@@ -306,12 +306,12 @@ def reset_ends_watch(dut: DeviceUnderTest) -> None:
     entry, node = _entries(dut)[0], dut.strangers(0.2)[0]
     _watch(dut, entry, node)
     dut.forget()
-    dut.silent("not heard yet", dut.receive(3e-3 * _WATCHED_MS), dut.emergency_id)
+    dut.frames("not heard yet", dut.receive(3e-3 * _WATCHED_MS), dut.emergency_id)
     _beat(dut, node)
     dut.frames("heard once", dut.receive(2.5e-3 * _WATCHED_MS), dut.emergency_id, _LOST)
     dut.reset()
     dut.forget()
-    dut.silent("after the reset", dut.receive(3e-3 * _WATCHED_MS), dut.emergency_id)
+    dut.frames("after the reset", dut.receive(3e-3 * _WATCHED_MS), dut.emergency_id)
 
 
 # -- node guarding ---------------------------------------------------------------------------------------------

@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-import tempfile
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from hilbench.apps.doctor.bench_subject import starter
 from hilbench.apps.doctor.drift import NodeAnswers
+from hilbench.apps.doctor.examination import PRESENT_S, start_nodes
 from hilbench.bench.lifecycle.in_process import InProcess
 from hilbench.bench.lifecycle.participants import check_in_process
-from hilbench.bench.lifecycle.startup import start_children
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.listening import listen, master_at_work, present
 from hilbench.canopen.master_guard import master_of
 from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.exchange.node_data import StandData, ask_all, drives_of
-from hilbench.processes import ChildProcess
 from hilbench.results.run_folder import RunFolder
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import read_resolved
 
 _LISTEN_S = 0.5
-_PRESENT_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -84,26 +81,14 @@ def ask_stand(
             raise UnusableInputError(str(bus), f"another master is at work: {master}, expected none: nodes are asked")
         fresh: frozenset[str] = frozenset()
         ids = list(config.simulated_drives)
-        if start and ids and not present(link, ids, _PRESENT_S):
+        if start and ids and not present(link, ids, PRESENT_S):
             announce("start simulated hardware")
-            folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-")))
-            children = start_children(config, folder)
-            for child in children:
-                resources.callback(child.end)
             fresh = simulated
-            _wait_for(lambda: len(present(link, ids, _PRESENT_S)) == len(ids), children, config)
+            if not start_nodes(link, ids, starter(config), config.master.boot_timeout_s, resources):
+                raise BenchFaultError(f"simulated hardware is not there within {config.master.boot_timeout_s:g} s")
         announce("ask the drives")
         with SdoClient(open_python_can(bus, SDO_ANSWERS), config.master.sdo_timeout_s) as reader:
             answers = ask_all(reader, config)
     if not any(answers.values()):
         raise UnusableInputError(str(bus), f"none of {', '.join(answers)} answers, expected the drives of the config")
     return answers, fresh
-
-
-def _wait_for(there: Callable[[], bool], children: list[ChildProcess], config: BenchConfig) -> None:
-    deadline_s = time.monotonic() + config.master.boot_timeout_s
-    while not there():
-        for child in children:
-            child.check()
-        if time.monotonic() > deadline_s:
-            raise BenchFaultError(f"simulated hardware is not there within {config.master.boot_timeout_s:g} s")

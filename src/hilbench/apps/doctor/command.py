@@ -18,9 +18,7 @@ def doctor(
     bus: BusOption = None,
     pace: PaceOption = None,
     changes: SetOption = None,
-    start: Annotated[
-        bool, Option("--start/--no-start", help="start simulated hardware and twin when they don't run, as run does")
-    ] = True,
+    start: Annotated[bool, Option(help="start simulated hardware and twin when they don't run, as run does")] = True,
     json: Annotated[bool, Option("--json", help="print one JSON object on standard output, nothing else")] = False,
 ) -> None:
     """Examine machine, CAN interface and nodes; says what is wrong and what to type. Writes nothing to any device.

@@ -23,9 +23,7 @@ def drift(
     bus: BusOption = None,
     changes: SetOption = None,
     runs: Annotated[Path, Option(help="folder with the run folders of the stand")] = Path("runs"),
-    start: Annotated[
-        bool, Option("--start/--no-start", help="start simulated drives when none of them is there, as run does")
-    ] = True,
+    start: Annotated[bool, Option(help="start simulated drives when none of them is there, as run does")] = True,
     in_process: Annotated[
         bool, Option("--in-process", help="simulated drives in this process, as run --in-process")
     ] = False,

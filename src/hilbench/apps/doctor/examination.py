@@ -28,8 +28,8 @@ from hilbench.processes import ChildProcess
 
 _LISTEN_S = 1.0
 _MEASURE_S = 0.5
-#: For nodes of simulated hardware and twin that run already to answer.
-_PRESENT_S = 0.5
+#: For nodes of simulated hardware and twin to answer, s.
+PRESENT_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -128,13 +128,9 @@ def _on_bus(
     if not subject.nodes or claimed_by or received.signs_of_master(subject.master_id):
         return findings
     ours = [node.node_id for node in subject.nodes if node.ours]
-    if start is not None and ours and not present(link, ours, _PRESENT_S):
+    if start is not None and ours and not present(link, ours, PRESENT_S):
         announce("start simulated hardware and twin")
-        folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-")))
-        children = start(folder)
-        for child in children:
-            resources.callback(child.end)
-        _wait_for(link, ours, children, subject.boot_timeout_s)
+        start_nodes(link, ours, start, subject.boot_timeout_s, resources)  # those not there are named when asked
     announce("ask the nodes")
     with SdoClient(open_python_can(bus, SDO_ANSWERS), subject.sdo_timeout_s) as reader:
         for node in subject.nodes:
@@ -142,9 +138,15 @@ def _on_bus(
     return findings
 
 
-def _wait_for(link: Link, node_ids: Sequence[int], children: Sequence[ChildProcess], timeout_s: float) -> None:
-    """Until all of them answer; those that don't are named when they are asked."""
+def start_nodes(link: Link, node_ids: Sequence[int], start: Start, timeout_s: float, resources: ExitStack) -> bool:
+    """Start what a run starts, until `resources` are closed; True if all nodes answer in time."""
+    children = start(Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-"))))
+    for child in children:
+        resources.callback(child.end)
     deadline_s = time.monotonic() + timeout_s
-    while len(present(link, node_ids, _PRESENT_S)) < len(node_ids) and time.monotonic() < deadline_s:
+    while len(present(link, node_ids, PRESENT_S)) < len(node_ids):
         for child in children:
             child.check()
+        if time.monotonic() > deadline_s:
+            return False
+    return True

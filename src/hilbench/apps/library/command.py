@@ -425,9 +425,7 @@ def gc(
         str | None, Option(metavar="SIZE", help="the oldest go until all take at most, e.g. 20GB")
     ] = None,
     keep_last: Annotated[int, Option(min=0, help="the newest of each bench stay, so many")] = 0,
-    keep_labelled: Annotated[
-        bool, Option("--keep-labelled/--no-keep-labelled", help="runs with a tag or a note stay")
-    ] = True,
+    keep_labelled: Annotated[bool, Option(help="runs with a tag or a note stay")] = True,
     dry_run: Annotated[bool, Option("--dry-run", help="only list what would be deleted")] = False,
     yes: Annotated[bool, Option("--yes", help="don't ask")] = False,
     json: JsonOption = False,

@@ -403,14 +403,14 @@ def _for_page(svg: str, name: str, title: str) -> str:
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<(metadata|style)\b.*?</\1>", "", body, flags=re.DOTALL)
     body = re.sub(r'( id="|url\(#|href="#)', rf"\g<1>{name}-", body)
-    body = re.sub(r'( d=")([^"]*)(")', lambda m: m[1] + _NUMBER.sub(_hundredths, m[2]) + m[3], body)
+    body = re.sub(
+        r'( d=")([^"]*)(")',
+        lambda m: m[1] + _NUMBER.sub(lambda n: f"{float(n[0]):.2f}".rstrip("0").rstrip("."), m[2]) + m[3],
+        body,
+    )
     for colour, variable in CSS_COLOURS.items():
         body = body.replace(colour, variable)
     body = re.sub(r"font: (\d+)px [^;\"]*", r"font-size: \1px", body)
     head_end = body.index(">")
     head = re.sub(r' (width|height)="[^"]*"', "", body[:head_end])
     return f'{head} role="img" aria-label="{escape(title)}"{body[head_end:]}'
-
-
-def _hundredths(match: re.Match[str]) -> str:
-    return f"{float(match[0]):.2f}".rstrip("0").rstrip(".")
