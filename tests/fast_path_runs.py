@@ -14,7 +14,8 @@ from hilbench.bench.compiled_cycles import CompiledCycles
 from hilbench.bench.tasks.task import CompiledStages
 from hilbench.can.frame import Frame
 from hilbench.canopen.host import HostedDevices
-from hilbench.cycle_program import python_stage
+from hilbench.compiled import COUNT, TABLE, entry_point
+from hilbench.cycle_program import CompiledStage
 from hilbench.errors import HilbenchError
 from hilbench.topology.sample import CycleSample
 
@@ -32,6 +33,11 @@ class How(Enum):
     CHAINED = 2
 
 
+@entry_point(COUNT, TABLE)
+def _to_python(_: int, table: Any) -> int:
+    return 1
+
+
 class Samples:
     """Keeps the bits of every sample of a bench."""
 
@@ -42,11 +48,11 @@ class Samples:
         self.kept.append(sample.reals.tobytes() + sample.wholes.tobytes())
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        def keep() -> bool:
+        def keep(_: int) -> bool:
             self.sample(sample)
             return True
 
-        return CompiledStages(after=[python_stage(keep)])
+        return CompiledStages(after=[CompiledStage(_to_python, 0, (), fallback=keep)])
 
 
 @contextmanager

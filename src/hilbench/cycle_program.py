@@ -13,7 +13,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, address_of, arrays_in, call_at, entry_point, record_type, records, table_of
+from hilbench.compiled import TABLE, address_of, arrays_in, call_at, entry_point, record_type, records, table_of
 
 Table = NDArray[np.int64]
 Function = Callable[[int, Table], int]
@@ -127,13 +127,3 @@ def _run(table: Table) -> bool:
         state.done += 1
         state.cycles -= 1
     return False
-
-
-@entry_point(COUNT, TABLE)
-def _hand_over(code: int, _: Table) -> int:
-    return code
-
-
-def python_stage(act: Callable[[], bool]) -> CompiledStage:
-    """Stage that Python runs in each cycle; returns as `fallback` of `CompiledStage`."""
-    return CompiledStage(_hand_over, CONTINUE + 1, (), fallback=lambda _: act())

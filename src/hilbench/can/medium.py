@@ -118,30 +118,9 @@ class Medium:
     def run(self, until_ns: int) -> list[Delivery]:
         """Let time pass until `until_ns`; returns the frames completed by then, in order."""
         delivered: list[Delivery] = []
-        if until_ns == FOREVER and self._sender is None and not self._counting:
-            self._send_all_of_lone_station(delivered)
         while (self._sender is not None or self._arbitrate(until_ns)) and self._end_ns <= until_ns:
             self._finish(delivered)
         return delivered
-
-    def _send_all_of_lone_station(self, delivered: list[Delivery]) -> None:
-        """Do the work of `run` in one go for a single sender without competitors, whose frames are not disturbed."""
-        busy = [station for station in self._stations if station.queue]
-        if len(busy) != 1:
-            return
-        station, queue, free_ns = busy[0], busy[0].queue, self.free_ns
-        all_bits = 0
-        while queue:
-            _, can_id, payload, bits, duration_ns, ready_ns, outcome = frame = queue.popleft()
-            if outcome is not None:
-                queue.appendleft(frame)
-                break
-            free_ns = (free_ns if free_ns > ready_ns else ready_ns) + duration_ns
-            all_bits += bits
-            delivered.append(_delivery((station, can_id, payload, free_ns)))
-        self.free_ns = free_ns
-        self.counters.frames += len(delivered)
-        self.counters.bits += all_bits
 
     @property
     def undisturbed(self) -> bool:

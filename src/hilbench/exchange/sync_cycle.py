@@ -171,17 +171,6 @@ class SyncCycle:
         self.pacing.late_set_points += 1
         return True
 
-    def finish(
-        self,
-        outgoing: Sequence[Frame],
-        late: list[Frame],
-        came: list[Frame],
-        fault: BenchFaultError | None,
-    ) -> list[Frame]:
-        """Finish a cycle that the fast path has begun, which holds the lock: `outgoing` and SYNC are sent, `late` came
-        before SYNC and `came` after it so far; `fault`: the error of the trace, if any."""
-        return self._finish(outgoing, late, came, fault)
-
     def _exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
         between, self._fault_between = self._fault_between, None
         if between is not None:
@@ -201,7 +190,7 @@ class SyncCycle:
         if self._lockstep:
             late = self._take_waiting()
             self._link.send([*outgoing, self._sync])
-            trace_fault = self._write_last_answers()
+            trace_fault = self.write_last_answers()
         else:
             if outgoing:
                 self._link.send(outgoing)
@@ -213,9 +202,9 @@ class SyncCycle:
                 late = self._link.receive(0.0)
                 self._link.send([self._sync])
                 pacing.advance(self.pacing, now_ns)
-        return self._finish(outgoing, late, met.behind if met is not None else [], trace_fault, met)
+        return self.finish(outgoing, late, met.behind if met is not None else [], trace_fault, met)
 
-    def _finish(
+    def finish(
         self,
         outgoing: Sequence[Frame],
         late: list[Frame],
@@ -223,7 +212,9 @@ class SyncCycle:
         trace_fault: BenchFaultError | None,
         met: SyncReceived | None = None,
     ) -> list[Frame]:
-        """Finish a cycle: `late` came before its SYNC, `came` after it so far; `met`: the producer's SYNC."""
+        """Finish a cycle, which may be one that the fast path has begun, under `lock`: `outgoing` and SYNC are sent,
+        `late` came before its SYNC, `came` after it so far; `trace_fault`: the error of the trace, if any; `met`: the
+        producer's SYNC."""
         timing = self.timing
         timing.cycles += 1
         before_ns = time.monotonic_ns()
@@ -284,7 +275,7 @@ class SyncCycle:
             return self._discard_waiting(timeout_s)
 
     def _discard_waiting(self, timeout_s: float) -> list[Frame]:
-        trace_fault = self._write_last_answers()
+        trace_fault = self.write_last_answers()
         came, self._came_between = self._came_between, []
         waiting = came + (self._link.receive if self._marks is None else self._marks.discard)(timeout_s)
         if waiting and self._tap is not None:
@@ -305,7 +296,7 @@ class SyncCycle:
         """Lockstep: no cycle until `done`, or for `longest_s` of wall time: the nodes wait for SYNC meanwhile."""
         with self.lock:
             self.before_use()
-            trace_fault = self._write_last_answers()
+            trace_fault = self.write_last_answers()
             if trace_fault is not None:
                 raise trace_fault
             self._send_heartbeat()
@@ -328,7 +319,7 @@ class SyncCycle:
         try:
             self.before_use()
             if self._fault_between is None:
-                self._fault_between = self._write_last_answers()
+                self._fault_between = self.write_last_answers()
                 self._send_heartbeat()
                 came = self._link.receive(_A_MOMENT_S)
                 self._came_between += came
@@ -405,10 +396,6 @@ class SyncCycle:
         """Time of the monotonic clock from which on a heartbeat is due because cycles take so long."""
         return int((self._alive_s + _SLOW * self._timeout_s) * 1e9) if self._heartbeat_cycles else 1 << 62
 
-    def write_last_answers(self) -> BenchFaultError | None:
-        """Write the answers that the last cycle has left for the trace; returns the trace's error, if any."""
-        return self._write_last_answers()
-
     def count(
         self, cycles: int, bits: int, last_bits: int, begun_ns: int, ended_ns: int, *, heartbeat_sent: bool
     ) -> None:
@@ -463,7 +450,7 @@ class SyncCycle:
             received += batch
         return received, failure
 
-    def _write_last_answers(self) -> BenchFaultError | None:
+    def write_last_answers(self) -> BenchFaultError | None:
         """Write answers deferred in lockstep, while the others compute; returns the trace's error, if any."""
         if self._unwritten is None or self._tap is None:
             return None

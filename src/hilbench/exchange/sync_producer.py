@@ -20,17 +20,9 @@ import numpy as np
 from hilbench.can.frame import Frame
 from hilbench.can.link import PacketLink
 from hilbench.canopen.identifiers import SYNC
+from hilbench.compiled import table_of
 from hilbench.errors import BusError
-from hilbench.exchange.sync_kernel import (
-    DEADLINE_NS,
-    END,
-    LAST,
-    PLACES,
-    REMEMBERED,
-    SENT,
-    WITHOUT,
-    produce,
-)
+from hilbench.exchange.sync_kernel import REMEMBERED, SHARED, Producing, produce
 
 #: Longest time SYNC continues without the bench: some of its garbage collections, but less than heartbeat time-outs.
 LONGEST_ALONE_S = 0.1
@@ -49,31 +41,23 @@ class SyncProducer:
         self._link = link
         link.set_filters([])
         packet = link.packet(Frame(SYNC, b""))
-        self._packet = np.frombuffer(packet.ljust(-(-len(packet) // 8) * 8, b"\0"), np.int64).copy()
-        self._shared = np.zeros(PLACES, np.int64)
-        self._lateness_ns = np.zeros(REMEMBERED, np.int64)
+        in_words = np.frombuffer(packet.ljust(-(-len(packet) // 8) * 8, b"\0"), np.int64).copy()
+        shared, self._lateness_ns = np.zeros(1, SHARED), np.zeros(REMEMBERED, np.int64)
+        self._shared = shared[0]
+        self._arrays = Producing(shared, self._lateness_ns, np.zeros(2, np.int64), in_words)
         #: SYNCs that go out behind a `go_on`: the one that the bench then waits for, and those without it.
         self._alone = 1 + max(1, min(REMEMBERED // 2, round(LONGEST_ALONE_S * 1e9 / period_ns)))
         self._lateness_read = 0  # number of them already read
-        self._loop = partial(
-            produce,
-            self._shared,
-            self._lateness_ns,
-            np.zeros(2, np.int64),
-            period_ns,
-            link.fileno(),
-            self._packet,
-            len(packet),
-        )
-        self._shared[END] = 1
+        self._loop = partial(produce, period_ns, link.fileno(), table_of(self._arrays), len(packet))
+        self._shared["end"] = 1
         self._loop()  # loads the machine code
-        self._shared[END] = 0
+        self._shared["end"] = 0
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
         """Send the first SYNC one period from now. Call it in the thread that it is to have priority over."""
-        self._shared[DEADLINE_NS] = time.monotonic_ns() + self.period_ns
-        self._shared[LAST] = self._alone
+        self._shared["deadline_ns"] = time.monotonic_ns() + self.period_ns
+        self._shared["last"] = self._alone
         self._thread = threading.Thread(target=self._run, name="sync", daemon=True)
         self._thread.start()
 
@@ -93,21 +77,21 @@ class SyncProducer:
     @property
     def sent(self) -> int:
         """Number of SYNCs sent."""
-        return int(self._shared[SENT])
+        return int(self._shared["sent"])
 
     @property
     def next_ns(self) -> int:
         """Time at which the next SYNC is due, in ns of the monotonic clock."""
-        return int(self._shared[DEADLINE_NS])
+        return int(self._shared["deadline_ns"])
 
     @property
     def without(self) -> int:
         """Periods without SYNC: the machine did not wake the thread, the bus took none, or the bench was not there."""
-        return int(self._shared[WITHOUT])
+        return int(self._shared["without"])
 
     def go_on(self) -> None:
         """Allow SYNCs for another `LONGEST_ALONE_S` from now: the bench is alive."""
-        self._shared[LAST] = self._shared[SENT] + self._alone
+        self._shared["last"] = self._shared["sent"] + self._alone
 
     def read_lateness(self, to: array[int]) -> None:
         """Append how late each SYNC was (ns) of those that were sent since the last call."""
@@ -124,7 +108,7 @@ class SyncProducer:
 
     def close(self) -> None:
         """Stop sending SYNC. Calling it twice is no error."""
-        self._shared[END] = 1
+        self._shared["end"] = 1
         if self._thread is not None:
             self._thread.join()
             self._thread = None

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hilbench.can.compiled_wire import OCTET, bits_on_wire
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
+from hilbench.cia402.units import wrap_int32
 from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, compiled, entry_point, merged, records, viewed
 from hilbench.cycle_program import CONTINUE
 from hilbench.exchange.measured import RESIDUAL, take_twin
@@ -20,7 +21,6 @@ _SIGNED, _FLOAT = lay.SIGNED, lay.FLOAT
 _BEFORE_SYNC, _SYNC, _BY_TIME, _BY_CYCLES = lay.BEFORE_SYNC, lay.SYNC, lay.BY_TIME, lay.BY_CYCLES
 _PORT_SIZE = lay.PORT_SIZE
 _INTERNAL_LIMIT = STATUS_INTERNAL_LIMIT
-_HALF, _WRAP = 1 << 31, 1 << 32
 _INT16_MAX = 0x7FFF
 _LARGEST = 2.0**53  # whole numbers up to here are exact
 _SECOND_NS = 1_000_000_000
@@ -64,10 +64,7 @@ class Image(NamedTuple):
     virtual_io: Reals = np.zeros(0)
 
 
-@compiled
-def _wrap(value: int) -> int:
-    """`cia402.units.wrap_int32`."""
-    return (value + _HALF) % _WRAP - _HALF
+_wrap = compiled(wrap_int32)
 
 
 @compiled
