@@ -71,16 +71,10 @@ class Provenance(Strict):
 def overridden(document: strict_yaml.Document) -> list[Override]:
     """The values that options gave, by their keys."""
     return [
-        Override(key=".".join(map(str, location)), value=_value(document.data, location), option=place.split(" ")[0])
+        Override(key=".".join(map(str, location)), value=document.value(location), option=place.split(" ")[0])
         for location, place in document.places.items()
         if place.startswith("--")
     ]
-
-
-def _value(data: Any, location: Iterable[str | int]) -> Any:
-    for key in location:
-        data = data[key]
-    return data
 
 
 class AskedCommit:

@@ -16,11 +16,34 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 _LONGEST_NAME = 100
 
 
+class _File:
+    """A file of a run folder, by its name in it."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __get__(self, folder: RunFolder, owner: type[RunFolder]) -> Path:
+        return folder.path / self.name
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """``runs/<name>-<time>/`` and the paths in it."""
 
     path: Path
+
+    config = _File("config.yaml")  #: the resolved bench config
+    trace = _File("trace.log")  #: every frame, candump format
+    journal = _File("journal.log")  #: what the bench did and no frame says, a line each
+    nodes = _File("nodes.json")  #: what drives said before they were configured, and what was written, JSON
+    recording = _File("recording.mf4")  #: every cycle's samples, MDF4
+    result = _File("result.json")  #: the verdict, JSON
+    junit = _File("result.xml")  #: the verdict, JUnit XML, as CI servers show it
+    report = _File("report.html")  #: the report, one self-contained HTML file
+    diagnosis = _File("diagnosis.json")  #: what a diagnosis of the recording has found, JSON; only where there was one
+    commissioning = _File("commissioning.json")  #: measured by a commissioning of the stand, JSON; only of such a run
+    labels = _File("labels.json")  #: tags and notes, JSON; only where somebody gave some
+    traceback = _File(TRACEBACK_FILE)  #: the traceback of what nobody foresaw; most runs have none
 
     @classmethod
     def create(cls, base: Path, name: str, time: datetime | None = None) -> Self:
@@ -62,31 +85,6 @@ class RunFolder:
         return self.path.resolve().name
 
     @property
-    def config(self) -> Path:
-        """The resolved bench config."""
-        return self.path / "config.yaml"
-
-    @property
-    def trace(self) -> Path:
-        """Every frame, candump format."""
-        return self.path / "trace.log"
-
-    @property
-    def journal(self) -> Path:
-        """What the bench did and no frame says, a line each."""
-        return self.path / "journal.log"
-
-    @property
-    def nodes(self) -> Path:
-        """What the drives said of themselves before they were configured, and what was written, JSON."""
-        return self.path / "nodes.json"
-
-    @property
-    def recording(self) -> Path:
-        """Every cycle's samples, MDF4."""
-        return self.path / "recording.mf4"
-
-    @property
     def unfinished_recording(self) -> Path:
         """The recording of a run that goes on, or was killed: whole but for the last rows, MDF4."""
         return self.path / "recording.part.mf4"
@@ -99,55 +97,7 @@ class RunFolder:
         """Those that are there."""
         return sorted(self.path.glob("recording.rows*"))
 
-    @property
-    def result(self) -> Path:
-        """The verdict, JSON."""
-        return self.path / "result.json"
-
-    @property
-    def junit(self) -> Path:
-        """The verdict, JUnit XML, as CI servers show it."""
-        return self.path / "result.xml"
-
-    @property
-    def report(self) -> Path:
-        """The report, one self-contained HTML file."""
-        return self.path / "report.html"
-
-    @property
-    def diagnosis(self) -> Path:
-        """What a diagnosis of the recording has found, JSON; only where there was one."""
-        return self.path / "diagnosis.json"
-
-    @property
-    def commissioning(self) -> Path:
-        """What a commissioning of the stand has measured, JSON; only of such a run."""
-        return self.path / "commissioning.json"
-
-    @property
-    def labels(self) -> Path:
-        """Tags and notes, JSON; only where somebody gave some."""
-        return self.path / "labels.json"
-
-    @property
-    def traceback(self) -> Path:
-        """The traceback of what nobody foresaw; most runs have none."""
-        return self.path / TRACEBACK_FILE
-
     def files(self) -> dict[str, Path]:
         """The files that are there, by what they are."""
-        known = {
-            "config": self.config,
-            "trace": self.trace,
-            "journal": self.journal,
-            "nodes": self.nodes,
-            "recording": self.recording,
-            "result": self.result,
-            "junit": self.junit,
-            "report": self.report,
-            "diagnosis": self.diagnosis,
-            "commissioning": self.commissioning,
-            "labels": self.labels,
-            "traceback": self.traceback,
-        }
-        return {name: path for name, path in known.items() if path.exists()}
+        files = {name: self.path / file.name for name, file in vars(RunFolder).items() if isinstance(file, _File)}
+        return {name: path for name, path in files.items() if path.exists()}

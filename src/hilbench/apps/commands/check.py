@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from math import isfinite
 
 from hilbench.apps.cli.options import print_json
@@ -97,17 +98,7 @@ def _summary(config: ExperimentConfig, checked: CheckedExperiment) -> dict[str, 
         "pace": config.pace,
         "frames_per_cycle": checked.bench.frames_per_cycle,
         "bus_load_pct": 100 * load.fraction,
-        "fits": [
-            {
-                "layout": option.layout,
-                "wires": list(option.wires),
-                "bits": list(option.bits),
-                "least_lockstep_s": option.least_lockstep_s,
-                "least_realtime_s": option.least_realtime_s,
-                "usable": option.usable,
-            }
-            for option in checked.bench.options
-        ],
+        "fits": [asdict(option) for option in checked.bench.options],
         "schedule": [
             {"name": slot.name, "cob_id": slot.can_id, "ends_s": slot.ends_s, "due_s": slot.due_s}
             for slot in checked.bench.schedule
