@@ -15,6 +15,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.inverse import required_torque_Nm
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
 Channels = dict[str, np.ndarray]
@@ -152,6 +153,19 @@ def test_a_recording_of_as_many_rows_as_five_seconds_have_is_long_enough(good: C
 def test_torques_that_an_effect_brings_nearer_to_the_other_axis_are_not_taken_for_exchanged(hidden: dict) -> None:  # type: ignore[type-arg]
     recording = hidden_recording(model(), [EffectEntry.model_validate(hidden)], duration_s=12.0)
     assert measured_from(recording, model(), "run.csv").repairs == []
+
+
+def test_an_axis_whose_angle_stands_for_its_position_may_turn_faster_than_a_web_goes() -> None:
+    t = 0.002 * np.arange(4000)
+    v = 198.0 * np.sin(1.3 * t)
+    channels = {"t_s": t, "x1_m": np.cumsum(v) * 0.002, "v1_m_s": v, "tau1_Nm": np.gradient(v, 0.002) + np.sign(v)}
+    turns = ModelParameters.model_validate(
+        {"rollers": {"radius_m": 1.0, "inertia_kg_m2": 1.0, "gear_ratio": 1.0}, "motors": {"inertia_kg_m2": 0.0}}
+    )
+    assert measured_from(Recording(channels), turns, "run.csv").duration_s == pytest.approx(7.998)
+    slides = turns.model_copy(update={"rollers": turns.rollers.model_copy(update={"radius_m": 0.1})})
+    with pytest.raises(UnusableInputError, match="v1_m_s reaches 198, expected m/s up to 100"):
+        measured_from(Recording(channels), slides, "run.csv")
 
 
 def test_of_a_lone_axis_a_torque_in_kN_m_is_taken_and_said(good: Channels) -> None:

@@ -14,7 +14,7 @@ from tests.tiers import slow
 
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.measured import measured_from
-from hilbench.diagnosis.measured_motion import MotionFilter, OnMeasuredMotion
+from hilbench.diagnosis.measured_motion import MotionFilter, OnMeasuredMotion, known_to_Hz
 from hilbench.diagnosis.residual_noise import Uncertainty, uncertainty, with_guess, with_noisy_columns
 from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
@@ -112,6 +112,34 @@ def test_the_noise_of_an_encoder_does_not_make_an_inertia_smaller() -> None:
         assert value(found, "inertia_mismatch") == pytest.approx(1.0, abs=0.06)
         corners.append(MotionFilter.for_position(np.asarray(recording["x1_m"]), 0.001).corner_hz)
     assert corners[1] < 0.6 * corners[0]
+
+
+def swinging(count_rad: float, *, order: float = 4.0, amplitude_Nm: float = 0.0, seconds: float = 12.0) -> Recording:
+    """A direct drive of 1 kg·m² that swings over a turn and a half, by an encoder with counts."""
+    t = 0.001 * np.arange(round(1000.0 * seconds))
+    x = 1.5 * np.pi * np.sin(2.2 * t) * (0.9 + 0.1 * np.sin(0.31 * t))
+    v = np.gradient(x, 0.001)
+    torque = np.gradient(v, 0.001) + 1.7 * np.sign(v) + 3.0 + amplitude_Nm * np.sin(order * x + 0.8)
+    torque += 0.02 * np.random.default_rng(7).standard_normal(len(t))
+    return Recording({"t_s": t, "x1_m": np.round(x / count_rad) * count_rad, "tau1_Nm": torque})
+
+
+def test_a_ripple_over_hardly_more_than_a_turn_is_named_with_its_order() -> None:
+    found = diagnose(swinging(6e-6, amplitude_Nm=4.7), axis_model(1.0), "few turns")
+    assert found.verdict == "named"
+    assert names(found) == {"coulomb_friction", "torque_offset", "torque_ripple"}
+    (ripple,) = (item for item in found.effects if item.effect == "torque_ripple")
+    assert ripple.parameters["order"].value == pytest.approx(4.0, abs=0.01)
+    assert ripple.parameters["amplitude_Nm"].value == pytest.approx(4.7, rel=0.02)
+
+
+def test_the_counts_of_an_encoder_end_the_band_in_which_a_resonance_is_looked_for() -> None:
+    t = 0.001 * np.arange(10_000)
+    v = np.interp(t % 2.0, [0.0, 0.2, 0.8, 1.2, 1.8, 2.0], [0.0, 1.0, 1.0, -1.0, -1.0, 0.0])
+    x = np.cumsum(v) * 0.001
+    fine, usual, coarse = (known_to_Hz(np.round(x / count) * count, 0.001, 2) for count in (1e-6, 1e-4, 1e-3))
+    assert fine > 2.0 * usual > 4.0 * coarse
+    assert fine < 60.0
 
 
 @pytest.mark.slow

@@ -298,7 +298,9 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
     speeds = {machines.speed_channel(model, axis): values for axis, values in measured.v_m_s.items()}
     for column, values in enumerate(measured.commands_m_s.T):
         speeds[machines.speed_channel(model, column + 1, "_cmd")] = values
-    fastest, unit = _FASTEST[model.position_unit], machines.speed_unit(model)
+    # Of a lone axis with a radius of 1 m and no gear an angle may stand for the position.
+    turns = machines.is_lone(model) and model.motor_rad_per_unit(1) == 1.0
+    fastest, unit = _FASTEST["rad" if turns else model.position_unit], machines.speed_unit(model)
     for name, values in speeds.items():
         largest = float(np.max(np.abs(values)))
         if largest > fastest:

@@ -30,10 +30,10 @@ _STANDSTILL_SHARE: Final = 0.02
 #: Share of the measured acceleration's variance that may be the encoder's noise. By as much an inertia is found too
 #: small: noise in a regressor pulls its coefficient to zero.
 _NOISE_SHARE: Final = 1e-3
-#: Share of the measured acceleration's power in a band of frequencies that may be the encoder's noise for a resonance
-#: to be looked for there, and the ratio of the upper to the lower edge of a band. Noise that the torque has no part of
-#: is as if an inertia were lacking at these frequencies, which is what a shaft that twists makes.
-_KNOWN_SHARE, _BAND = 0.1, 1.15
+#: Share of the measured acceleration's power in the octave above a frequency that may be the encoder's noise for a
+#: resonance to be looked for there, and the ratio of one that is tried to the next. Noise that the torque has no part
+#: of is as if an inertia were lacking at these frequencies, which is what a shaft that twists makes.
+_KNOWN_SHARE, _NEXT = 0.1, 1.15
 #: Corners of the filter, Hz: highest, lowest, and the ratio of one that is tried to the next.
 _HIGHEST_HZ, _LOWEST_HZ, _FINER = 60.0, 5.0, 0.9
 #: How far the filter smears what happens at standstill, in periods of its corner; time, in the same, within which an
@@ -122,18 +122,18 @@ def position_noise(position: Array) -> float:
 
 
 def known_to_Hz(measured: Array, period_s: float, order: int) -> float:
-    """Frequency up to which in every band the noise of a position (n,), order 2, or a speed, order 1, is a small share
-    of what its acceleration has there."""
+    """Frequency up to which in the octave above each the noise of a position (n,), order 2, or a speed, order 1, is a
+    small share of what its acceleration has there."""
     differences = np.diff(measured, order)
     window, f = np.hanning(len(differences)), np.fft.rfftfreq(len(differences), period_s)
     power = np.cumsum(np.abs(np.fft.rfft(differences * window)) ** 2)
     noise = (2.0 * np.sin(np.pi * f * period_s)) ** (2 * order) * position_noise(measured) ** 2 * np.sum(window**2)
     noise, low = np.cumsum(noise), _LOWEST_HZ
     while low < f[-1]:
-        first, last = np.searchsorted(f, (low, min(_BAND * low, f[-1])))
+        first, last = np.searchsorted(f, (low, min(2.0 * low, f[-1])))
         if noise[last] - noise[first] > _KNOWN_SHARE * (power[last] - power[first]):
             break
-        low *= _BAND
+        low *= _NEXT
     return low
 
 

@@ -27,14 +27,14 @@ _LEAST_CYCLES: Final = 4.0
 _OF_THE_ROWS: Final = 0.4
 _HIGHEST_ORDER: Final = 64.0
 _LEAST_SHARE_OF_A_TURN: Final = 0.5  #: of the roller's
-_HIGHEST_ORDER_OF_A_SCREW: Final = 1e4
 #: The slowest share of a motion, and the share of its largest step from row to row from which an axis moves.
 _SLOWEST, _MOVES = 0.1, 0.02
 #: Angle that a roller (an arm) has to turn for a torque by its angle to be told from a spring or an offset: over less
 #: a sine is straight within some per cent.
 _LEAST_ARC_RAD: Final = 1.0
-#: Turns from which whole orders can be told apart.
-_RESOLVED: Final = 4.0
+#: Turns of the motor from which an order is looked for (over less a ripple is any law of the position), and from which
+#: whole orders can be told apart.
+_LEAST_TURNS, _RESOLVED = 1.0, 4.0
 #: Times of a step that are simulated at first, and among how many that can be told apart it was chosen.
 _COARSE: Final = 24
 _TIMES: Final = 100.0
@@ -382,15 +382,14 @@ class Proposer:
     def _orders(
         self, effect: Effect, axis: int, whitened: dict[str, Array], present: list[Term], every: int
     ) -> list[Term]:
-        slot, turns = self._slot(effect, axis, present), self._turns(axis)
-        if slot is None or turns < 2.0 * _LEAST_CYCLES or effect.probe is None:
+        slot = self._slot(effect, axis, present)
+        if slot is None or self._turns(axis) < _LEAST_TURNS or effect.probe is None:
             return []
         angle = self._data.x_m[axis][::every] * self._model.motor_rad_per_unit(axis) / _TURN
-        top = _HIGHEST_ORDER
-        if machines.is_lone(self._model) and turns < _RESOLVED:  # a screw's turn is not the "motor's" of the model
-            top = _HIGHEST_ORDER_OF_A_SCREW
         sharp = [name for name in whitened if f"tau{axis}_Nm" in name]
-        orders, count = self._peaks(angle, whitened, sharp, self._least_order(axis), min(top, _followed(angle)))
+        orders, count = self._peaks(
+            angle, whitened, sharp, self._least_order(axis), min(_HIGHEST_ORDER, _followed(angle))
+        )
         return [self._term(effect, axis, {effect.probe.parameter: order}, slot, count) for order in orders]
 
     def _highest_Hz(self) -> float:
