@@ -13,21 +13,18 @@ from hilbench.compiled import (
     COUNT,
     TABLE,
     Reals,
-    Records,
     Wholes,
     arrays_in,
     compiled,
     entry_point,
     load,
+    merged,
     record_type,
     records,
     table_of,
 )
 from hilbench.cycle_program import CONTINUE, CompiledStage, never
 from hilbench.topology.sample import CycleSample
-
-Vector = NDArray[np.float64]
-Whole = NDArray[np.int64]
 
 #: What is measured of a drive (SI), and where that is in a sample (-1: nowhere).
 _OF_DRIVE = "position", "velocity", "torque", "statusword"
@@ -42,14 +39,14 @@ _NOWHERE = -1
 COUNTED = record_type("cycles", "bits", "twin_sync", "twin_status", of=np.int64)
 
 
-class _Twin(NamedTuple):
+class FromTwin(NamedTuple):
     """Measurements, and what the twin's TPDOs bring to them."""
 
-    came: Wholes
-    torques: Annotated[Any, records(RESIDUAL)]
-    before_Nm: Reals
-    of_drives: Reals
-    virtual_io: Reals
+    came: Wholes = np.zeros(0, np.int64)
+    torques: Annotated[Any, records(RESIDUAL)] = np.zeros(0, RESIDUAL)
+    before_Nm: Reals = np.zeros(0)
+    of_drives: Reals = np.zeros(0)
+    virtual_io: Reals = np.zeros(0)
 
 
 class _Sample(NamedTuple):
@@ -65,17 +62,17 @@ class _Sample(NamedTuple):
     words: Wholes
 
 
-@compiled
-def take_twin(came: Whole, torques: Records, before_Nm: Vector, of_drives: Vector, virtual_io: Vector) -> None:
+@merged
+def take_twin(a: FromTwin) -> None:
     """Update simulated torques from their residuals after a cycle in which these TPDOs of the twin `came` (P,).
 
     The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
     """
-    for k in range(len(before_Nm)):
-        row = torques[k]
-        if came[row.brought_by] != 0:
-            virtual_io[row.simulated] = before_Nm[k] - virtual_io[row.residual]
-        before_Nm[k] = of_drives[row.measured]
+    for k in range(len(a.before_Nm)):
+        row = a.torques[k]
+        if a.came[row.brought_by] != 0:
+            a.virtual_io[row.simulated] = a.before_Nm[k] - a.virtual_io[row.residual]
+        a.before_Nm[k] = a.of_drives[row.measured]
 
 
 @compiled
@@ -88,8 +85,7 @@ def twin_age_cycles(syncs: int, twin_sync: int) -> int:
 
 @entry_point(TABLE)
 def _take(table: NDArray[np.int64]) -> None:
-    a = arrays_in(table, _Twin)
-    take_twin(a.came, a.torques, a.before_Nm, a.of_drives, a.virtual_io)
+    take_twin(arrays_in(table, FromTwin))
 
 
 @entry_point(COUNT, TABLE)
@@ -162,10 +158,11 @@ class Measured:
         names += [each.signal for each in torques]
         self.of_drives, self.virtual_io = np.zeros(OF_DRIVE * len(drives)), np.zeros(len(names))
         self.came, self.counted = np.zeros(len(sent_by), np.int64), np.zeros(1, COUNTED)
-        self.torques, self.before_Nm = np.array(rows, RESIDUAL), np.zeros(len(torques))
         places = [tuple(kind.place(name) if name else _NOWHERE for name in drive.signals) for drive in drives]
-        self._twin = _Twin(self.came, self.torques, self.before_Nm, self.of_drives, self.virtual_io)
-        self._table = table_of(self._twin)
+        self.from_twin = FromTwin(
+            self.came, np.array(rows, RESIDUAL), np.zeros(len(torques)), self.of_drives, self.virtual_io
+        )
+        self._table = table_of(self.from_twin)
         self._places = np.array(places, _PLACES), kind.places(names), np.array([each.rad_per_unit for each in drives])
         self._filled: CycleSample | None = None
         self._filling: CompiledStage

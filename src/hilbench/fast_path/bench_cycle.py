@@ -68,11 +68,7 @@ class BenchFastCycle(ABC):
             seen=self._seen,
             feedback=self._feedback,
             virtual_io_rows=virtual_io,
-            came=measured.came,
-            torques=measured.torques,
-            before_Nm=measured.before_Nm,
-            of_drives=measured.of_drives,
-            virtual_io=measured.virtual_io,
+            from_twin=measured.from_twin,
             **more,
         )
         # Access to one value is faster than through the arrays.

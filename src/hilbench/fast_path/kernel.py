@@ -13,7 +13,7 @@ from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.cia402.units import wrap_int32
 from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, compiled, entry_point, merged, records, viewed
 from hilbench.cycle_program import CONTINUE
-from hilbench.exchange.measured import RESIDUAL, take_twin
+from hilbench.exchange.measured import FromTwin, take_twin
 from hilbench.fast_path import layout as lay
 from hilbench.fast_path.layout import Bytes, Real, Row, Rows, Single, Whole
 
@@ -57,11 +57,7 @@ class Image(NamedTuple):
     seen: Annotated[Any, records(lay.FEEDBACK)] = np.zeros(0, lay.FEEDBACK)
     feedback: Reals = np.zeros(0)
     virtual_io_rows: Annotated[Any, records(lay.VIRTUAL_IO)] = np.zeros(0, lay.VIRTUAL_IO)
-    came: Wholes = np.zeros(0, np.int64)  #: this and what follows: as of `exchange.measured`
-    torques: Annotated[Any, records(RESIDUAL)] = np.zeros(0, RESIDUAL)
-    before_Nm: Reals = np.zeros(0)
-    of_drives: Reals = np.zeros(0)
-    virtual_io: Reals = np.zeros(0)
+    from_twin: FromTwin = FromTwin()
 
 
 _wrap = compiled(wrap_int32)
@@ -288,14 +284,14 @@ def follow(image: Image) -> None:
 @merged
 def observe(image: Image, bit_ns: float) -> None:
     """Take the feedback of the drives and what the twin's TPDOs bring, and write the frames' lines of the trace."""
-    frames, left, text = image.frames, image.left, image.text
+    frames, left, text, twin = image.frames, image.left, image.text, image.from_twin
     order, data, at = image.order[: left.frames], image.data, image.given.text
     for k in range(len(image.seen)):
         _see(image.seen[k], image.whole, image.feedback[4 * k : 4 * k + 4])
-    for k in range(len(image.of_drives)):  # with slices numba would have a text ready for two of unequal length
-        image.of_drives[k] = image.feedback[k]
-    _hear(image.virtual_io_rows, frames, image.real, image.came, image.virtual_io)
-    take_twin(image.came, image.torques, image.before_Nm, image.of_drives, image.virtual_io)
+    for k in range(len(twin.of_drives)):  # with slices numba would have a text ready for two of unequal length
+        twin.of_drives[k] = image.feedback[k]
+    _hear(image.virtual_io_rows, frames, image.real, twin.came, twin.virtual_io)
+    take_twin(twin)
     _set_times(frames, order, image.given.start_ns, bit_ns)
     if len(text) > 0:
         for k in order:

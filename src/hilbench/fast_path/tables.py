@@ -186,30 +186,31 @@ def drive_row(drive: SimulatedDrive, slots: Slots) -> tuple[Any, ...]:
     units, velocity = firmware.units, port.mode is MotorMode.VELOCITY
     target = firmware.target_velocity if velocity else firmware.target_torque
     offset = firmware.velocity_offset if velocity else firmware.torque_offset
-    return (
-        int(velocity),
-        slots.of(target),
-        slots.of(offset),
-        units.velocity_rad_s if velocity else units.torque_Nm,
-        firmware.velocity_limit_rad_s if velocity else firmware.torque_limit_Nm,
-        port.setpoint,
-        int(drive.mode.limited),
-        units.position_rad,
-        units.velocity_rad_s,
-        units.torque_Nm,
-        RPM,
-        firmware.overspeed_rad_s,
-        firmware.position_origin,
-        firmware.encoder_count,
-        slots.of(firmware.position_actual),
-        slots.of(firmware.velocity_actual),
-        slots.of(firmware.torque_actual),
-        slots.of(firmware.vl_actual) if firmware.shows_vl else NO_SLOT,
-        slots.of(firmware.position_demand),
-        slots.of(firmware.velocity_demand),
-        slots.of(firmware.torque_demand),
-        slots.of(drive.statusword),
-        drive.following_bits,
+    return of_record(
+        lay.DRIVE,
+        velocity=velocity,
+        target=slots.of(target),
+        offset=slots.of(offset),
+        set_point_unit=units.velocity_rad_s if velocity else units.torque_Nm,
+        limit=firmware.velocity_limit_rad_s if velocity else firmware.torque_limit_Nm,
+        set_point=port.setpoint,
+        limited=drive.mode.limited,
+        position_rad=units.position_rad,
+        velocity_rad_s=units.velocity_rad_s,
+        torque_Nm=units.torque_Nm,
+        vl_rad_s=RPM,
+        overspeed_rad_s=firmware.overspeed_rad_s,
+        origin=firmware.position_origin,
+        count=firmware.encoder_count,
+        position=slots.of(firmware.position_actual),
+        speed=slots.of(firmware.velocity_actual),
+        torque=slots.of(firmware.torque_actual),
+        vl=slots.of(firmware.vl_actual) if firmware.shows_vl else NO_SLOT,
+        position_demand=slots.of(firmware.position_demand),
+        velocity_demand=slots.of(firmware.velocity_demand),
+        torque_demand=slots.of(firmware.torque_demand),
+        statusword=slots.of(drive.statusword),
+        bits=drive.following_bits,
     )
 
 
@@ -219,19 +220,20 @@ def feedback_row(drive: Drive, raw: dict[int, int]) -> tuple[Any, ...]:
     if missing or drive.counter.value is None:
         raise FastPathRefusedError
     units, feedback = drive.units, drive.feedback
-    return (
-        raw[objects.POSITION_ACTUAL_VALUE],
-        raw.get(objects.VELOCITY_ACTUAL_VALUE, NO_SLOT),
-        raw[objects.TORQUE_ACTUAL_VALUE],
-        raw[objects.STATUSWORD],
-        drive.counter.value,
-        drive.counter.last,
-        units.position_rad,
-        units.velocity_rad_s,
-        units.torque_Nm,
-        feedback.position_rad,
-        drive.tpdo_period_s,
-        int(not drive.settings.has_velocity),
+    return of_record(
+        lay.FEEDBACK,
+        position=raw[objects.POSITION_ACTUAL_VALUE],
+        speed=raw.get(objects.VELOCITY_ACTUAL_VALUE, NO_SLOT),
+        torque=raw[objects.TORQUE_ACTUAL_VALUE],
+        statusword=raw[objects.STATUSWORD],
+        value=drive.counter.value,
+        last=drive.counter.last,
+        position_rad=units.position_rad,
+        velocity_rad_s=units.velocity_rad_s,
+        torque_Nm=units.torque_Nm,
+        before_rad=feedback.position_rad,
+        period_s=drive.tpdo_period_s,
+        by_difference=not drive.settings.has_velocity,
     )
 
 

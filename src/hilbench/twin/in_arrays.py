@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from hilbench.canopen.object_store import Cell
+from hilbench.compiled import of_record
 from hilbench.cycle_program import CompiledStage
 from hilbench.fast_path import layout as lay
 from hilbench.fast_path.devices import HostFrames
@@ -156,15 +157,22 @@ class TwinInArrays:
         self._application.end_in_vectors()
 
 
-def received_row(listener: AxisListener, position: int, torque: int) -> tuple[object, ...]:
+def received_row(listener: AxisListener, position: int, torque: int) -> tuple[float, ...]:
     """Row of `layout.FEEDBACK` for a real axis: offsets of position and torque. Raises FastPathRefusedError."""
     counter, units = listener.counter, listener.units
     if counter.value is None:
         raise FastPathRefusedError
-    return (
-        *(position, NO_SLOT, torque, position),  # a state is not looked for
-        *(counter.value, counter.last, units.position_rad, 0.0, units.torque_Nm),
-        *(0.0, 1.0, 0),
+    return of_record(
+        lay.FEEDBACK,
+        position=position,
+        speed=NO_SLOT,
+        torque=torque,
+        statusword=position,  # a state is not looked for
+        value=counter.value,
+        last=counter.last,
+        position_rad=units.position_rad,
+        torque_Nm=units.torque_Nm,
+        period_s=1.0,
     )
 
 
