@@ -20,7 +20,6 @@ from hilbench.bench.tasks.tension_task import TensionTask
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.cia402.state_machine import State
-from hilbench.estimation.web_line.span_estimator import SpanEstimator
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.master_node import MasterNode
 from hilbench.exchange.nodes import Nodes
@@ -32,6 +31,7 @@ from hilbench.results.journal import JournalWriter
 from hilbench.results.result import Result
 from hilbench.results.trace import TraceWriter
 from hilbench.topology.sample import CycleSample
+from hilbench.twin.machines.web_line import WebLineTwin
 from hilbench.twin.process import TwinApplication
 
 MOVING = [{"ramp": {"path": "line_speed_m_s", "to": 0.5, "duration_s": 0.2}}, {"hold": {"duration_s": 1.0}}]
@@ -46,7 +46,7 @@ OF_INTERPRETED_CYCLES = {
     (MasterNode, "handle"),
     (TraceWriter, "write"),
     (SyncCycle, "exchange"),
-    (SpanEstimator, "compare"),
+    (WebLineTwin, "compare"),
 }
 
 
@@ -129,7 +129,7 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
             (TraceWriter, "write_lines"),
             (Exchange, "cycle"),
             (SyncCycle, "count"),
-            (SpanEstimator, "compare"),
+            (WebLineTwin, "compare"),
             (TwinApplication, "go_on_in_vectors"),
             (Operator, "set"),
         ),

@@ -11,10 +11,9 @@ import pytest
 from hilbench.estimation.web_line.balance import BalanceSample
 from hilbench.estimation.web_line.config import ChangepointConfig
 from hilbench.estimation.web_line.synchronizers import filters
-from hilbench.estimation.web_line.synchronizers.base import SyncSample
+from hilbench.estimation.web_line.synchronizers.base import Plant, SyncSample
 from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSynchronizer
 from hilbench.estimation.web_line.synchronizers.filters import Filters
-from hilbench.estimation.web_line.synchronizers.plant import Plant
 
 CYCLE_S, E_PA = 0.002, 8.7e9
 PLANT = Plant(E_PA, 30.0, 25.0, 0.5 * 65e-6, 1.0)
@@ -41,11 +40,11 @@ class Hypothesis:
         f[2, 3] += dt
         self.z = f @ self.z + into * u["force_N"] / mass
         self.p = f @ self.p @ f.T + np.outer(into, into) * u["force_variance"] / mass**2
-        self.p[2, 2] += dt * u["E_variance_per_s"]
+        self.p[2, 2] += dt * u["parameter_variance_per_s"]
         wander = np.diag([1.0, 1.0, 1.0, 1.0, 1.0 - dt / 36000.0])
         self.z, self.p = wander @ self.z, wander @ self.p @ wander
-        self.p[4, 4] += 2.0 * dt / 36000.0 * u["priors"][-1] ** 2
-        innovation, variance = u["position_m"] - self.z[0], self.p[0, 0] + u["position_variance"]
+        self.p[4, 4] += 2.0 * dt / 36000.0 * u["priors"][3] ** 2
+        innovation, variance = u["position"] - self.z[0], self.p[0, 0] + u["position_variance"]
         gain = self.p[:, 0] / variance
         self.z = self.z + gain * innovation
         self.p = self.p - np.outer(gain, self.p[0])
@@ -142,7 +141,7 @@ def test_e_is_what_matrices_say_cycle_by_cycle_through_a_step(seed: int) -> None
         Filters(config, PLANT, (0.0, 0.0, 1)),
         PlainBank(config),
     )
-    inputs.inputs["E_variance_per_s"] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
+    inputs.inputs["parameter_variance_per_s"] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
     largest = 0.0
     rows = samples(400, 250, seed)
     plain.start(rows[0].balance.x2_m, config.also.inertia_share)

@@ -9,9 +9,8 @@ import pytest
 
 from hilbench.estimation.web_line.balance import BalanceSample
 from hilbench.estimation.web_line.config import METHODS
-from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchronizer, SyncSample
+from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, Synchronizer, SyncSample
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
-from hilbench.estimation.web_line.synchronizers.plant import Plant
 
 CYCLE_S, SPEED_M_S = 0.002, 3.0
 SECTION_M2, LENGTH_M, PER_M, MASS_KG, NEXT_N = 0.5 * 65e-6, 1.0, 25.0, 30.0, 70.0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hilbench.estimation.bank import BankArrays, new_bank
+from hilbench.estimation.motion_filter import RATE, V, X, new_filter
 from hilbench.estimation.web_line.config import AlsoEstimated, EkfConfig
 from hilbench.estimation.web_line.synchronizers import kalman
 
@@ -13,11 +14,10 @@ DT_S, MASS_KG, RATIO, FORCE_SD_N, POSITION_SD_M = 0.002, 30.0, 25.0, 1.25, 7e-8
 
 
 def inputs(offset_prior: float) -> np.void:
-    u = np.zeros(1, kalman.INPUTS)[0]
-    u["duration_s"], u["mass_kg"], u["force_per_torque"] = DT_S, MASS_KG, RATIO
+    u = kalman.new_inputs(np.array([offset_prior, 0.0, 0.0, 0.0]), MASS_KG, RATIO)[0]
+    u["duration_s"] = DT_S
     u["force_variance"], u["position_variance"] = FORCE_SD_N**2, POSITION_SD_M**2
-    u["priors"][0] = offset_prior
-    u["E_variance_per_s"] = 1e-6
+    u["parameter_variance_per_s"] = 1e-6
     return u
 
 
@@ -26,7 +26,7 @@ def two_filters(priors: list[float]) -> BankArrays:
     places = np.array([*range(kalman.OFFSET), *(np.flatnonzero(priors) + kalman.OFFSET)])
     bank = new_bank(kalman.SIZE, places, 0.0, 0.0, capacity=2)
     for i in range(2):
-        kalman.new_filter(bank.z, bank.p, i, 0.0, 0.2, np.array(priors))
+        new_filter(bank, i, 0.2, np.array(priors))
     return bank
 
 
@@ -38,17 +38,17 @@ def joseph(z: np.ndarray, p: np.ndarray, u: np.void) -> tuple[np.ndarray, np.nda
     g[k.VISCOUS], g[k.DRY] = -u["speed_m_s"] / MASS_KG, -np.sign(u["speed_m_s"]) / MASS_KG
     g[k.MASS] = -u["acceleration_m_s2"]
     into = np.zeros(k.SIZE)
-    into[k.X], into[k.V] = DT_S**2 / 2.0, DT_S
+    into[X], into[V] = DT_S**2 / 2.0, DT_S
     f = np.eye(k.SIZE) + np.outer(into, g)
-    f[k.X, k.V] += DT_S
-    f[k.E, k.RATE] += DT_S
+    f[X, V] += DT_S
+    f[k.E, RATE] += DT_S
     z = f @ z + into * u["force_N"] / MASS_KG
     p = f @ p @ f.T + np.outer(into, into) * u["force_variance"] / MASS_KG**2
-    p[k.E, k.E] += DT_S * u["E_variance_per_s"]
-    gain = p[:, k.X] / (p[k.X, k.X] + u["position_variance"])
+    p[k.E, k.E] += DT_S * u["parameter_variance_per_s"]
+    gain = p[:, X] / (p[X, X] + u["position_variance"])
     rest = np.eye(k.SIZE)
-    rest[:, k.X] -= gain
-    innovation = u["position_m"] - z[k.X]
+    rest[:, X] -= gain
+    innovation = u["position"] - z[X]
     return z + gain * innovation, rest @ p @ rest.T + np.outer(gain, gain) * u["position_variance"]
 
 
@@ -56,13 +56,13 @@ def test_a_hundred_steps_agree_with_josephs_form() -> None:
     rng = np.random.default_rng(1)
     filters = two_filters([0.05, 0.5, 1.0, 0.01])
     z, p, *_ = filters
-    p[kalman.RATE, kalman.RATE] = 1e-4
+    p[RATE, RATE] = 1e-4
     expected = z[:, 0].copy(), p[:, :, 0].copy()
     u = inputs(0.0)
     for _ in range(100):
         u["force_N"], u["web_N"] = rng.normal(90.0, 5.0), rng.normal(80.0, 5.0)
         u["speed_m_s"], u["acceleration_m_s2"] = rng.normal(0.0, 3.0), rng.normal(0.0, 1.0)
-        u["position_m"] = rng.normal(0.0, 1e-4)
+        u["position"] = rng.normal(0.0, 1e-4)
         kalman.step(filters, u)
         expected = joseph(*expected, u)
     scale = np.sqrt(np.diag(expected[1]))
@@ -79,10 +79,10 @@ def test_offset_and_e_come_out_as_least_squares_says() -> None:
     filters = two_filters([prior, 0.0, 0.0, 0.0])
     z, p, *_ = filters
     u = inputs(prior)
-    u["E_variance_per_s"] = 0.0
+    u["parameter_variance_per_s"] = 0.0
     for force, web in zip(force_N, web_N, strict=True):
         u["force_N"], u["web_N"] = force, web
-        u["position_m"] = POSITION_SD_M * rng.standard_normal()
+        u["position"] = POSITION_SD_M * rng.standard_normal()
         kalman.step(filters, u)
     # The filter sees forces through positions and lets the offset wander a little: it knows a little less.
     rows = np.column_stack([web_N, np.full(n, RATIO)]) / FORCE_SD_N
@@ -96,4 +96,4 @@ def test_offset_and_e_come_out_as_least_squares_says() -> None:
 def test_the_prior_of_what_is_estimated_beside_e_is_in_the_filters_order() -> None:
     also = AlsoEstimated(torque_offset_Nm=1.0, viscous_friction_N_s_per_m=2.0, dry_friction_N=3.0, inertia_share=4.0)
     assert [value for _, value in EkfConfig(also=also).also] == [1.0, 2.0, 3.0, 4.0]
-    assert kalman.NUISANCES == (kalman.OFFSET, kalman.VISCOUS, kalman.DRY, kalman.MASS)
+    assert list(kalman.NUISANCES) == [kalman.OFFSET, kalman.VISCOUS, kalman.DRY, kalman.MASS]

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hilbench.estimation.web_line.balance import BalanceSample
 from hilbench.estimation.web_line.config import PidConfig
-from hilbench.estimation.web_line.synchronizers.base import SyncSample
+from hilbench.estimation.web_line.synchronizers.base import Plant, SyncSample
 from hilbench.estimation.web_line.synchronizers.pid import PidSynchronizer
 
 CYCLE_S = 0.002
@@ -17,6 +17,10 @@ SECTION_M2, STRAIN, METRES_PER_RAD, NEXT_N = 0.5 * 65e-6, 2.8e-4, 0.04, 70.0
 
 def torque_Nm(modulus_Pa: float) -> float:
     return METRES_PER_RAD * (modulus_Pa * SECTION_M2 * STRAIN - NEXT_N)
+
+
+def plant(start_Pa: float) -> Plant:
+    return Plant(start_Pa, 30.0, 1.0 / METRES_PER_RAD, SECTION_M2, 1.0)
 
 
 def sample(real_Nm: float, sim_Nm: float) -> SyncSample:
@@ -31,7 +35,7 @@ def sample(real_Nm: float, sim_Nm: float) -> SyncSample:
 
 
 def track(config: PidConfig, true_Pa: float, duration_s: float, start_Pa: float = 8.7e9) -> list[float]:
-    synchronizer, estimate, curve = PidSynchronizer(config, start_Pa), start_Pa, []
+    synchronizer, estimate, curve = PidSynchronizer(config, plant(start_Pa)), start_Pa, []
     for _ in range(round(duration_s / CYCLE_S)):
         estimate = synchronizer.update(sample(torque_Nm(true_Pa), torque_Nm(estimate))).youngs_modulus_Pa
         curve.append(estimate)
@@ -50,7 +54,7 @@ def test_the_proportional_part_alone_closes_a_constant_gap_exponentially():
 
 def test_the_integral_is_limited():
     config = PidConfig(kp_Pa_per_Nm_s=0, ki_Pa_per_Nm_s2=1e8, kd_Pa_per_Nm=0, error_filter_s=0, integral_limit_Nm_s=0.1)
-    synchronizer, estimates = PidSynchronizer(config, 8.7e9), []
+    synchronizer, estimates = PidSynchronizer(config, plant(8.7e9)), []
     for _ in range(round(2.0 / CYCLE_S)):
         estimates.append(synchronizer.update(sample(1.0, 0.0)).youngs_modulus_Pa)
     per_s = (estimates[-1] - estimates[-501]) / 1.0
@@ -58,13 +62,13 @@ def test_the_integral_is_limited():
 
 
 def test_a_held_cycle_leaves_the_estimate():
-    synchronizer = PidSynchronizer(PidConfig(), 8.7e9)
+    synchronizer = PidSynchronizer(PidConfig(), plant(8.7e9))
     before = synchronizer.update(sample(0.5, 0.4))
     assert synchronizer.hold(CYCLE_S) == before
 
 
 def test_the_deviation_speaks_of_the_gap_that_is_not_closed_yet():
-    synchronizer = PidSynchronizer(PidConfig(error_filter_s=0.0), 8.7e9)
+    synchronizer = PidSynchronizer(PidConfig(error_filter_s=0.0), plant(8.7e9))
     estimate = synchronizer.update(sample(torque_Nm(10.5e9), torque_Nm(8.7e9)))
     assert estimate.deviation_Pa == pytest.approx(1.8e9, rel=0.2)
 
@@ -72,6 +76,6 @@ def test_the_deviation_speaks_of_the_gap_that_is_not_closed_yet():
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=50))
 def test_whatever_the_torque_the_estimate_stays_in_its_range(torques):
     config = PidConfig(lower_limit_Pa=5e9, upper_limit_Pa=15e9)
-    synchronizer = PidSynchronizer(config, 8.7e9)
+    synchronizer = PidSynchronizer(config, plant(8.7e9))
     for torque in torques:
         assert 5e9 <= synchronizer.update(sample(torque, 0.0)).youngs_modulus_Pa <= 15e9

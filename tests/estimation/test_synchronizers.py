@@ -154,10 +154,11 @@ def test_an_offset_at_constant_tension_is_held_and_said_not_to_be_separable() ->
     ports = (MotorPort(), MotorPort())
     plant = model()
     twin = EstimationConfig(estimate=[ChangepointConfig(also=AlsoEstimated(torque_offset_Nm=0.05))])
-    tracking = SpanEstimator(plant, twin, Line(plant, ports), ports[1], CYCLE_S)
+    tracking = SpanEstimator(plant, twin, Line(plant, ports), CYCLE_S)
     data = measured(np.full(2000, OLD_PA), torque_offset_Nm=0.05, speed_m_s=0.0)
     for row in range(len(data.t_s)):
-        tracking.compare(*data.x_m[row], data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row])
+        now = *data.x_m[row], data.tau2_Nm[row], ports[1].torque_Nm
+        tracking.compare(*now, data.strain_prev[row], data.F_next_N[row])
     (offset,) = [n for n in tracking.estimate.nuisances if n.name == "torque_offset_Nm"]
     assert not offset.separable
     assert abs(offset.value) < 0.05

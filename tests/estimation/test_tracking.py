@@ -41,7 +41,8 @@ class Twin:
     plant: ModelParameters
 
     def take(self, data: Measurements, row: int) -> None:
-        self.tracking.compare(*data.x_m[row], data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row])
+        measured = *data.x_m[row], data.tau2_Nm[row], self.ports[1].torque_Nm
+        self.tracking.compare(*measured, data.strain_prev[row], data.F_next_N[row])
         for axis, port in enumerate(self.ports):
             port.setpoint = data.v_cmd_m_s[row, axis] * self.plant.motor_rad_per_m(axis + 1)
         self.line.step(CYCLE_S)
@@ -52,7 +53,7 @@ def twin(plant: ModelParameters | None = None, **options: object) -> Twin:
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
     line = Line(plant, ports)
     config = EstimationConfig.model_validate({"estimate": [ChangepointConfig()], **options})
-    return Twin(SpanEstimator(plant, config, line, ports[1], CYCLE_S), line, ports, plant)
+    return Twin(SpanEstimator(plant, config, line, CYCLE_S), line, ports, plant)
 
 
 def rows(data: Measurements) -> Iterator[int]:

@@ -63,11 +63,11 @@ def slipping(
     data.x_m[:, 1] += np.cumsum(slip * 3.0) * CYCLE_S
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
     estimation = EstimationConfig(unmodelled_torque_Nm=0.0 if known else None)
-    tracking = SpanEstimator(plant, estimation, Line(plant, ports), ports[1], CYCLE_S)
+    tracking = SpanEstimator(plant, estimation, Line(plant, ports), CYCLE_S)
     told = set()
     for row, t_s in enumerate(data.t_s):
         x1, x2 = data.x_m[row]
-        tracking.compare(x1, x2, data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row])
+        tracking.compare(x1, x2, data.tau2_Nm[row], ports[1].torque_Nm, data.strain_prev[row], data.F_next_N[row])
         assert tracking.problem in (None, Problem.SLIP)
         if tracking.problem is Problem.SLIP:
             told.add(float(t_s))

@@ -7,13 +7,12 @@ from math import isfinite, sqrt
 import numpy as np
 
 from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, inlined
+from hilbench.estimation.assumptions import MOST_SQUARE
 from hilbench.estimation.bank import Array
 
 #: Sum of the squares of the binomials 1 4 6 4 1: variance of a fourth difference of white noise.
 _GAIN = 70.0
 _DIFFERENCES = 4
-#: Limit of a square over the present variance, so that a step is no noise.
-_LIMIT = 9.0
 #: Samples that are not limited so.
 _SETTLE = 30
 # State: the last samples, newest first (4 places); samples whose differences span a gap.
@@ -41,7 +40,7 @@ def take(s: Array, value: float) -> None:
     n = count - 3.0
     weight = max(1.0 / n, s[_SHARE])
     if n >= _SETTLE:
-        square = min(square, _LIMIT * s[_VARIANCE])
+        square = min(square, MOST_SQUARE * s[_VARIANCE])
     s[_VARIANCE] = max(s[_VARIANCE] + weight * (square - s[_VARIANCE]), s[_FLOOR] * s[_FLOOR])
 
 

@@ -23,6 +23,7 @@ from hilbench.compiled import (
     table_of,
 )
 from hilbench.estimation import noise_level
+from hilbench.estimation.assumptions import CERTAIN, TORQUE_FLOOR_NM
 from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.servo_axis import kalman
@@ -35,15 +36,12 @@ from hilbench.plant.servo_axis.shaft import look
 from hilbench.plant.servo_axis.tracking_filter import ORDER, TrackingFilter, follow, gains, later, transition
 from hilbench.plant.web_line import laws
 
-#: Encoder noise assumed until it is measured, and its least value; least noise of the torque.
+#: Encoder noise assumed until it is measured, and its least value.
 _POSITION_NOISE_RAD, _POSITION_FLOOR_RAD = 3e-6, 1e-7
-_TORQUE_FLOOR_NM = 1e-4
 #: Time constant of the filter for the shaft's speed and acceleration, in cycles.
 _FILTER_CYCLES = 5.0
 #: Cycles until its initial guess of the speed has faded.
 _SETTLED_CYCLES = 75
-#: Deviations of its noise beyond which an acceleration is significant.
-_SIGNIFICANT = 4.0
 #: Torque that accelerates the model's inertia, in deviations of the torque's noise, below which the motion is quiet:
 #: visible rests of ripple and unbalance are acceleration as well, and would be taken for inertia.
 _EXCITED = 2.0
@@ -165,7 +163,7 @@ def _take_quality(
         noise_level.interrupt(v.position)
     s.unforeseen_rad_s2 *= exp(-duration_s / _FORESEEN_AGAIN_S)
     unforeseen = s.unforeseen_gain * abs(off_rad)
-    noisy = abs(off_rad) <= _SIGNIFICANT * sqrt(noise_level.variance(v.position))
+    noisy = abs(off_rad) <= CERTAIN * sqrt(noise_level.variance(v.position))
     if not noisy and unforeseen > _FORESEEN * abs(v.motion[_ACCELERATION]):
         s.unforeseen_rad_s2 = max(s.unforeseen_rad_s2, unforeseen)
 
@@ -185,7 +183,7 @@ def _fill(
     torque."""
     s, u, variance = v.s, v.u, noise_level.variance(v.position)
     x, speed, a = later(v.motion, back, 0), later(v.motion, back, 1), later(v.motion, back, 2)
-    significant = abs(a) > _SIGNIFICANT * s.noise_gain * sqrt(variance)
+    significant = abs(a) > CERTAIN * s.noise_gain * sqrt(variance)
     direction = min(max(speed / _STANDSTILL_RAD_S, -1.0), 1.0)
     s.sticking = max(s.sticking * exp(-duration_s / _AFTER_STANDSTILL_S), 1.0 - direction * direction)
     slow = max(1.0 - (speed / _LOW_SPEED_RAD_S) ** 2, 0.0)
@@ -210,7 +208,7 @@ def _fill(
         # cycle, so that of the last one is 2n times. However long a shaft is at rest, it shows no offset.
         + s.breakaway_Nm * s.breakaway_Nm * (s.sticking + 2.0 * slow * s.slow)
     )
-    u.position_rad = position_rad
+    u.position = position_rad
     u.position_variance = variance
     of = u.regressors
     of[0], of[1], of[2], of[3], of[4] = 1.0, speed, direction, -sin(phi), -cos(phi)
@@ -283,13 +281,13 @@ class FilterInputs:
             ]
         )
         self.u["inertia_kg_m2"] = self.inertia_kg_m2
-        self.u["beta_variance_per_s"] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
-        self.u["beta_bound"] = (0.01 * config.jump_pct) ** 2
+        self.u["parameter_variance_per_s"] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
+        self.u["parameter_bound"] = (0.01 * config.jump_pct) ** 2
         # Without an end an accepted drift goes on through all holds, and grows with all that is not white noise.
         self.u["drift_s"] = config.jump_pct / config.drift_pct_per_s
         self.u["memories_s"] = config.offset_memory_s, *[config.friction_memory_s] * (kalman.TERMS - 1)
         self.u["priors"] = self.priors
-        self._torque = NoiseLevel(config.torque_noise_Nm, _TORQUE_FLOOR_NM)
+        self._torque = NoiseLevel(config.torque_noise_Nm, TORQUE_FLOOR_NM)
         self._position = NoiseLevel(_POSITION_NOISE_RAD, _POSITION_FLOOR_RAD)
         self._motion = TrackingFilter(0.0)
         self._forward, self._back, self._gain = np.zeros((ORDER, ORDER)), np.zeros((ORDER, ORDER)), np.zeros(ORDER)

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, REAL, TABLE, arrays_in, compiled, entry_point, record_type, table_of
-from hilbench.estimation import bank
+from hilbench.estimation import bank, motion_filter
+from hilbench.estimation.assumptions import SEPARABLE
 from hilbench.estimation.bank import Array, BankArrays, Places
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.servo_axis import balance, kalman
@@ -29,12 +30,10 @@ _NAMES = (
     "unbalance_sine_Nm",
     "unbalance_cosine_Nm",
 )
-#: A parameter counts as found when the data have shrunk its prior deviation to this share.
-_FOUND = 0.7
-#: Least ratio of the model's inertia to the estimate; below it the estimate is invalid.
-_LEAST_BETA = 0.01
 
 
+#: Variance of a position that the filters are placed at: far above that of any encoder, far below a step of its path.
+_PLACED_RAD2 = 1e-8
 #: Most jumps expected by the end of a time without information on the inertia.
 _LONGEST_QUIET = 20.0
 #: Share outside an interval of 95 %: a less probable jump in quiet time does not widen it.
@@ -81,7 +80,7 @@ def _step(v: InertiaArrays) -> bool:
     excited, was_quiet = u.acceleration_rad_s2 != 0.0, births.quiet_s > 0.0
     if excited and was_quiet:
         births.log_jump = max(log(_jump_odds(v)), births.log_jump)
-        bank.give_birth(b, kalman.BETA, kalman.RATE)
+        bank.give_birth(b, kalman.BETA, motion_filter.RATE)
         births.quiet_s = 0.0
     kalman.step(b, u)
     bank.compare(b)
@@ -89,8 +88,8 @@ def _step(v: InertiaArrays) -> bool:
         births.quiet_s += u.duration_s
         births.cycle = _BEFORE_LARGE_JUMP
     elif not was_quiet:
-        bank.give_birth(b, kalman.BETA, kalman.RATE)
-    return bool(b.out[0, kalman.BETA] > _LEAST_BETA)
+        bank.give_birth(b, kalman.BETA, motion_filter.RATE)
+    return bool(b.out[0, kalman.BETA] > kalman.LEAST_BETA)
 
 
 @compiled
@@ -185,7 +184,7 @@ class InertiaEstimator:
         shaft = model.shaft
         offset_Nm = look(lay.pack(model), 0.0)[2]
         of_model = offset_Nm, shaft.viscous_friction_Nm_s_per_rad, shaft.coulomb_friction_Nm, 0.0, 0.0
-        separable = _FOUND * 0.01 * config.initial_deviation_pct
+        separable = SEPARABLE * 0.01 * config.initial_deviation_pct
         figures = (0.0, 0.0, 0.01 * config.unmodelled_pct, separable, config.jumps_per_s, of_model)
         self._figures = np.array([figures], FIGURES)
         self._bank = bank.new_bank(kalman.SIZE, np.arange(kalman.SIZE), config.jump_pct, config.drift_pct_per_s)
@@ -211,7 +210,7 @@ class InertiaEstimator:
     def _begin(self) -> None:
         """Reset to the model's inertia with the initial deviation."""
         deviation = 0.01 * self._config.initial_deviation_pct
-        kalman.new_filter(self._bank.z, self._bank.p, 0, deviation, self._inputs.priors)
+        motion_filter.new_filter(self._bank, 0, deviation, self._inputs.priors)
         self._bank.begin()
         self.stated["inertia_kg_m2"] = 0.0
         self._lose(lost=True)  # the motion, not the estimate of the shaft
@@ -245,9 +244,9 @@ class InertiaEstimator:
             return
         if self._inputs.arrays.s["lost"][0] or self._inputs.in_doubt:
             speed = self._inputs.speed_rad_s
-            kalman.place_motion(
-                self._bank.z, self._bank.p, sample.position_rad - self._inputs.duration_s * speed, speed
-            )
+            before_rad = sample.position_rad - self._inputs.duration_s * speed
+            self._bank.z[motion_filter.X], self._bank.z[motion_filter.V] = before_rad, speed
+            motion_filter.lose_motion(self._bank, _PLACED_RAD2)
             self._lose(lost=False)
         self._bank.births["cycle"] += 1.0
         self._put_priors(sample.cycle_s)
@@ -311,5 +310,5 @@ class InertiaEstimator:
         values, deviations = mean + self._figures["of_model"][0], deviation.tolist()
         priors = self._inputs.priors.tolist()
         rows = zip(_NAMES, values.tolist(), deviations, priors, strict=True)
-        also = tuple([Nuisance(n, v, d, d < _FOUND * prior) for n, v, d, prior in rows if prior > 0.0])
+        also = tuple([Nuisance(n, v, d, d < SEPARABLE * prior) for n, v, d, prior in rows if prior > 0.0])
         return ShaftEstimate(inertia_kg_m2, deviation_kg_m2, separable != 0.0, also)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import Record, compiled, inlined
 from hilbench.estimation import ring
+from hilbench.estimation.assumptions import CERTAIN
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.ring import RING
 
@@ -30,9 +31,6 @@ BROKEN, WHOLE = 0.15, 0.3
 #: Smoothing time of the usual tension, which a breaking web loses, while implausible positions alone keep it; and of
 #: its noise.
 _USUAL_S = 0.3
-#: Deviations of a certain break or change: normal noise exceeds them once in 31,000 blocks. 5 would hide a break from
-#: drives that take late SYNCs for the next one, whose blocks scatter.
-_SURE = 4.0
 #: Least tension by the strain for a meaningful ratio, as a share of the machine's usual one.
 LEAST_SHARE = 0.125
 #: Force that accelerates the roller, or its range within a block, over the tension by the strain, from which on nothing
@@ -127,7 +125,7 @@ def look(s: Record, block: Record) -> None:
         suspend(s)
         return
     ratio, threshold = tension_N / promised_N, WHOLE if s.broken_now != 0.0 else BROKEN
-    sure_N = _SURE * sqrt(0.25 * s.scatter_N2)  # of the mean of two blocks
+    sure_N = CERTAIN * sqrt(0.25 * s.scatter_N2)  # of the mean of two blocks
     broken = ratio < threshold and tension_N < min(threshold * s.usual_N, promised_N - sure_N)
     s.broken_now = 1.0 if broken else 0.0
     smoothing = min(block.duration_s / _USUAL_S, 1.0)

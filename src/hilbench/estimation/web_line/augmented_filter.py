@@ -15,13 +15,15 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.estimation.assumptions import CERTAIN
+
 Vector = NDArray[np.float64]
 
 #: Normalized innovations beyond so many deviations, twice running, are no chance: a sudden change. The first of them is
 #: not used: what has changed is not known, and small corrections of all would hide it. A gradual change is no sudden
 #: one: at least this share was absent two innovations before. Then the limits of all innovations together.
 _FAR_OFF, _SUDDEN = 6.0, 0.4
-_FAR_OFF_TOGETHER, _SUDDEN_TOGETHER = 4.0, 0.75
+_SUDDEN_TOGETHER = 0.75
 _TWICE = 2
 
 
@@ -232,7 +234,7 @@ class AugmentedFilter:
         change = np.linalg.solve(spread, known @ self._by_change(becomes).sum(axis=1))
         size = sqrt(float(change @ spread @ change))
         now, before = np.array([change @ left]), np.array([change @ self._before[0]])
-        together = _is_sudden(now, before, _FAR_OFF_TOGETHER * size, _SUDDEN_TOGETHER)
+        together = _is_sudden(now, before, CERTAIN * size, _SUDDEN_TOGETHER)
         return size > 0.0 and bool(together[0])
 
 

@@ -47,7 +47,7 @@ class BalanceSample:
 BALANCE: Final = record_type(
     *("started", "before_m", "creep_ratio_prev", "F_next_N", "x2_m", "force_N", "web_per_Pa", "velocity_m_s")
 )
-_NOT_STARTED, _BEGUN, _FOLLOWS = 0.0, 1.0, 2.0
+NOT_STARTED, _BEGUN, _FOLLOWS = 0.0, 1.0, 2.0
 
 
 class BalanceVectors(NamedTuple):
@@ -236,17 +236,12 @@ class MeasuredBalance:
         """Last sample."""
         return BalanceSample(*self.state.item()[-4:])
 
-    @property
-    def is_followed(self) -> bool:
-        """True if the web's position is initialized."""
-        return bool(self.state["started"] != _NOT_STARTED)
-
     def reset(self) -> None:
         """Restart at the next update, with the web strained as upstream."""
-        self.state["started"] = _NOT_STARTED
+        self.state["started"] = NOT_STARTED
 
     def begin(self, x1_m: float, x2_m: float, strain_prev: float) -> None:
         """Place the web at the rollers if it is not yet followed; call it before `momentum_balance`."""
-        if self.state["started"] == _NOT_STARTED:
+        if self.state["started"] == NOT_STARTED:
             self.web.reset((x1_m, x2_m), strain=[strain_prev])
             self.state["started"] = _BEGUN

@@ -98,7 +98,7 @@ class PidConfig(EstimateConfig):
     upper_limit_Pa: Modulus = Field(default=1.0e11, description="largest E it gives")
 
 
-class _OnBalance(EstimateConfig):
+class OnBalance(EstimateConfig):
     """Common settings of the methods on the measured momentum balance of axis 2."""
 
     torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")
@@ -109,14 +109,14 @@ class _OnBalance(EstimateConfig):
     also: AlsoEstimated = AlsoEstimated()
 
 
-class RlsConfig(_OnBalance):
+class RlsConfig(OnBalance):
     """Recursive least squares with exponential forgetting."""
 
     method: Literal["rls"] = "rls"
     memory_s: PositiveFloat = Field(default=0.05, description="time constant of forgetting")
 
 
-class EkfConfig(_OnBalance):
+class EkfConfig(OnBalance):
     """Extended Kalman filter of motion and parameters; the process noise of E follows the innovations."""
 
     method: Literal["ekf"] = "ekf"
@@ -124,7 +124,7 @@ class EkfConfig(_OnBalance):
     jump_pct_per_sqrt_s: PositiveFloat = Field(default=100.0, description="the same when the innovations are far off")
 
 
-class LmConfig(_OnBalance):
+class LmConfig(OnBalance):
     """Levenberg–Marquardt on a moving window."""
 
     method: Literal["lm"] = "lm"
@@ -132,7 +132,7 @@ class LmConfig(_OnBalance):
     every_cycles: int = Field(default=10, ge=1, description="cycles between two solutions")
 
 
-class GlobalConfig(_OnBalance):
+class GlobalConfig(OnBalance):
     """Differential evolution on a window, outside the cyclic path; its result acts `latency_cycles` later."""
 
     method: Literal["global"] = "global"
@@ -143,7 +143,7 @@ class GlobalConfig(_OnBalance):
     seed: int = Field(default=1, ge=0, le=2**32 - 1, description="of the search's random numbers")
 
 
-class ChangepointConfig(_OnBalance):
+class ChangepointConfig(OnBalance):
     """Change-point estimator: bank of Kalman filters, one per hypothesis of E's last jump or drift onset."""
 
     method: Literal["changepoint"] = "changepoint"

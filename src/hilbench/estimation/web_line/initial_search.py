@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from hilbench.estimation.web_line.initial_strains import InitialStrains
 from hilbench.estimation.web_line.joint_initialization import InitialWeb, JointInitialization
-from hilbench.estimation.web_line.synchronizers.base import SyncSample
-from hilbench.estimation.web_line.synchronizers.plant import Plant
+from hilbench.estimation.web_line.synchronizers.base import Plant, SyncSample
 
 #: Deviation of E and of the strain, in %, at which a web counts as known: while it passes, which soon replaces it by a
 #: better known one, and at rest, where a movement takes so long.

@@ -23,9 +23,9 @@ from math import exp, hypot, inf, sqrt
 
 import numpy as np
 
+from hilbench.estimation.assumptions import CERTAIN
 from hilbench.estimation.web_line.initial_strains import PRIOR, SLOW_M_S, Array, InitialStrains, Strains
-from hilbench.estimation.web_line.synchronizers.base import SyncSample
-from hilbench.estimation.web_line.synchronizers.plant import Plant
+from hilbench.estimation.web_line.synchronizers.base import Plant, SyncSample
 from hilbench.estimation.web_line.synchronizers.regression import FILTER_S, RegressionRows, noise_gain
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 
@@ -42,8 +42,6 @@ _LEAST_SHARE = 0.01
 _STANDSTILL_M_S, _MOVES_M_S = 1e-4, FRICTION_WIDTH_M_S
 #: Relative change of the strain from which on the tension differs from that when the roller came to rest.
 _PULLED = 0.02
-#: Deviations beyond which friction is certain.
-_SURE = 4.0
 #: Least remaining share of a web moved to and fro by the rollers, as for a movement at rest.
 _STAYS = 0.9
 #: Unknowns: E, E·δ of the span, friction in the direction of a slow motion, force taken up at rest; then E·δ with the δ
@@ -66,7 +64,7 @@ class InitialWeb:
     @property
     def sticks(self) -> bool:
         """True if dry friction beyond the model's is certain."""
-        return self.friction_N > _SURE * self.friction_deviation_N
+        return self.friction_N > CERTAIN * self.friction_deviation_N
 
 
 class JointInitialization:

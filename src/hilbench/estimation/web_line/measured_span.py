@@ -6,12 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hilbench.compiled import interpreted
-from hilbench.estimation.web_line import span_estimator_cycle as cycle
 from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.plant.web_line.splices import Piece
-
-_as_if_stretched = interpreted(cycle.equivalent_strain)
 
 
 class MeasuredSpan:
@@ -34,21 +30,6 @@ class MeasuredSpan:
     def leaving_strain(self) -> float:
         """Strain of the web leaving the span: all pieces carry the same tension, each with its own strain."""
         return self.strain * self.series_factor / float(self._t["end_factor"])
-
-    @property
-    def creep_ratio(self) -> float:
-        """Share by which less web leaves the span than the roller after it turns, by creep."""
-        return float(self._t["creep_ratio"])
-
-    @property
-    def outlet_strain(self) -> float:
-        """Inlet strain of the next span; see `span_estimator_cycle.outlet_strain`."""
-        return _as_if_stretched(self.leaving_strain, self.creep_ratio)
-
-    @property
-    def reverse_outlet_strain(self) -> float:
-        """Inlet strain of the previous span in reverse; see `span_estimator_cycle.reverse_outlet_strain`."""
-        return self.strain * self.series_factor
 
     @property
     def unstretched_m(self) -> float:

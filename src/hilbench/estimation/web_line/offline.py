@@ -52,7 +52,7 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
     cycles, cycle_s, tau2_Nm = even.data, even.cycle_s, even.data.tau2_Nm
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
     line = Line(model, ports)
-    tracking = SpanEstimator(model, config, line, ports[1], cycle_s)
+    tracking = SpanEstimator(model, config, line, cycle_s)
     rad_per_m = [model.motor_rad_per_m(axis) for axis in (1, 2)]
     n = len(cycles.t_s)
     modulus, deviation, tension, residual = (np.empty(n) for _ in range(4))
@@ -64,7 +64,8 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
         strain_prev, F_next_N = cycles.strain_prev[row], cycles.F_next_N[row]
         before_ns = time.thread_time_ns()
         if even.measured[row]:
-            tracking.compare(cycles.x_m[row, 0], cycles.x_m[row, 1], tau2_Nm[row], strain_prev, F_next_N)
+            measured = cycles.x_m[row, 0], cycles.x_m[row, 1], tau2_Nm[row]
+            tracking.compare(*measured, ports[1].torque_Nm, strain_prev, F_next_N)
             tracking.look_for_known_change(float(cycles.v_cmd_m_s[row, 1]))
         else:
             tracking.miss()

@@ -12,6 +12,7 @@ from math import cos, pi, sin, sqrt
 import numpy as np
 
 from hilbench.compiled import compiled
+from hilbench.estimation.assumptions import CERTAIN
 from hilbench.estimation.bank import Array
 
 #: Searched orders: 1 to this.
@@ -28,7 +29,7 @@ KEPT = 8
 #: Memory of the correlation, s; frequencies in which it is formed: least (Hz), most (share of a cycle).
 _MEMORY_S, _LEAST_HZ, _MOST = 3.0, 2.0, 0.4
 #: Deviations of its amplitude from which on an order is found, and below which it is lost.
-_FOUND, _LOST = 8.0, 4.0
+_FOUND, _LOST = 8.0, CERTAIN
 #: Least duration of motion, s: an effect of its start is no ripple.
 _LEAST_S = 3.0
 #: Time, s, over which the residual is averaged at the frequency of an order: the noise near it may be far less than
@@ -37,8 +38,6 @@ _NEAR_S = 0.2
 #: Time for which an order below the noise of all frequencies has to stand out, s: as long as a transient takes to count
 #: as noise.
 _LASTS_S = 0.5
-#: Residuals count only so many deviations.
-_LIMIT = 4.0
 
 
 def new_table() -> tuple[Array, Array]:
@@ -53,7 +52,7 @@ def _look(table: Array, s: Array, residual: float, cycle_s: float) -> bool:
     gain = cycle_s / _MEMORY_S
     deviation = sqrt(s[VARIANCE_N2])
     if s[FEEDBACK] > 50.0:
-        residual = min(max(residual, -_LIMIT * deviation), _LIMIT * deviation)
+        residual = min(max(residual, -CERTAIN * deviation), CERTAIN * deviation)
     first_c, first_s = cos(s[ANGLE]), sin(s[ANGLE])
     error, c, q = residual, 1.0, 0.0
     for n in range(ORDERS):

@@ -17,17 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hilbench.compiled import (
-    REAL,
-    TABLE,
-    VECTOR,
     Reals,
     Reals2,
-    Wholes2,
-    arrays_in,
     compiled,
-    entry_point,
-    interpreted,
-    table_of,
 )
 from hilbench.estimation.web_line.balance import mass_at_web_kg, measured_force_N
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
@@ -48,7 +40,7 @@ class RollerArrays(NamedTuple):
 
 @compiled
 def take(r: RollerArrays, x_m: Vector, torques_Nm: Vector, duration_s: float) -> None:
-    """Compiled `Rollers.update`."""
+    """Take positions (N,) at the web and torques (N,) at the motors, `duration_s` after the last."""
     for j in range(len(r.masses_kg)):
         now_m = x_m[j + 1]
         before_m = r.positions_m[j] if r.started[0] != 0.0 else now_m
@@ -60,7 +52,7 @@ def take(r: RollerArrays, x_m: Vector, torques_Nm: Vector, duration_s: float) ->
 
 @compiled
 def force_behind_N(r: RollerArrays, axis: int) -> float:
-    """Compiled `Rollers.force_behind_N`."""
+    """Force at the web of the motors after that of `axis`, from 2, less their rollers' resistance."""
     total_N = 0.0
     for j in range(axis - 1, len(r.forces_N)):
         total_N += r.forces_N[j]
@@ -69,20 +61,12 @@ def force_behind_N(r: RollerArrays, axis: int) -> float:
 
 @compiled
 def centre_m(r: RollerArrays, axis: int) -> float:
-    """Compiled `Rollers.centre_m`."""
+    """Position of the centre of mass of the roller of `axis`, from 2, and all after it, at the web."""
     moments, total_kg = 0.0, 0.0
     for j in range(axis - 2, len(r.masses_kg)):
         moments += r.masses_kg[j] * r.positions_m[j]
         total_kg += r.masses_kg[j]
     return moments / total_kg
-
-
-@entry_point(VECTOR, VECTOR, REAL, TABLE)
-def _take(x_m: Vector, torques_Nm: Vector, duration_s: float, table: Wholes2) -> None:
-    take(arrays_in(table, RollerArrays), x_m, torques_Nm, duration_s)
-
-
-_force_behind_N, _centre_m = interpreted(force_behind_N), interpreted(centre_m)
 
 
 class Rollers:
@@ -96,28 +80,14 @@ class Rollers:
         masses_kg = np.array([mass_at_web_kg(p) for p in rows])
         #: For compiled callers.
         self.arrays = RollerArrays(np.array(rows), masses_kg, np.zeros(1), *np.zeros((2, len(rows))))
-        self._table = table_of(self.arrays)
 
     def reset(self) -> None:
         """Take the next positions as the first."""
         self.arrays.started[0] = 0.0
 
-    def update(self, positions_m: Sequence[float], torques_Nm: Sequence[float], duration_s: float) -> None:
-        """Update positions (N,) at the web and torques (N,) at the motors, `duration_s` after the last."""
-        _take(np.array(positions_m), np.array(torques_Nm), duration_s, self._table)
-
     def masses_behind_kg(self, axis: int) -> list[float]:
         """Masses at the web of the rollers after that of `axis`, from 2."""
         return [float(mass_kg) for mass_kg in self.arrays.masses_kg[axis - 1 :]]
-
-    def force_behind_N(self, axis: int) -> float:
-        """Force at the web of the motors after that of `axis`, from 2, less their rollers' resistance."""
-        return float(_force_behind_N(self.arrays, axis))
-
-    def centre_m(self, axis: int) -> float:
-        """Position of the centre of mass of the roller of `axis`, from 2, and all after it, at the web."""
-        assert self.arrays.started[0], "asked for before the first positions"
-        return float(_centre_m(self.arrays, axis))
 
 
 def two_rollers(model: ModelParameters, span: int, masses_behind_kg: Sequence[float] = ()) -> ModelParameters:

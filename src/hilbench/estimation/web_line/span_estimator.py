@@ -32,11 +32,10 @@ from hilbench.estimation.web_line.initial_strains import SLOW_M_S, InitialStrain
 from hilbench.estimation.web_line.joint_initialization import InitialWeb
 from hilbench.estimation.web_line.measured_span import MeasuredSpan
 from hilbench.estimation.web_line.probing_step import new_probing_step
-from hilbench.estimation.web_line.span_model import SimulatedMotor, SpanModel
-from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchronizer, SyncSample
+from hilbench.estimation.web_line.span_model import SpanModel
+from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, Synchronizer, SyncSample
 from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSynchronizer
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
-from hilbench.estimation.web_line.synchronizers.plant import Plant
 from hilbench.estimation.web_line.unmodelled_effects import UnmodelledEffects
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -69,7 +68,7 @@ class Known(NamedTuple):
 class SpanEstimator:
     """Estimates E of `line` from the measured momentum balance; transfers measured states to it.
 
-    `axis2` is the port of the line's second motor. Positions are at the web, torques at the motor.
+    Positions are at the web, torques at the motor.
     """
 
     def __init__(
@@ -77,12 +76,10 @@ class SpanEstimator:
         model: ModelParameters,
         config: EstimationConfig,
         line: SpanModel,
-        axis2: SimulatedMotor,
         cycle_s: float,
     ) -> None:
         self.config = config
         self._line = line
-        self._axis2 = axis2
         self._cycle_s = cycle_s
         self._balance = balance = MeasuredBalance(model)
         self._initial_Pa = config.youngs_modulus_Pa or model.youngs_modulus_Pa(1)
@@ -167,8 +164,8 @@ class SpanEstimator:
 
     @property
     def in_arrays(self) -> bool:
-        """True if a measurement was compared and no probing step is evaluated: all state is in the arrays."""
-        return self._balance.is_followed and self._probing_step is None
+        """True if no probing step is evaluated: all state is in the arrays."""
+        return self._probing_step is None
 
     @property
     def input_strain(self) -> float:
@@ -405,32 +402,28 @@ class SpanEstimator:
             self._errors.hold(self._cycle_s)
         self._state(self._synchronizer.hold(self._cycle_s))
 
-    def compare(
-        self,
-        x1_m: float,
-        x2_m: float,
-        torque_Nm: float,
-        strain_prev: float,
-        F_next_N: float,
-        centre_m: float | None = None,
-        strain_next: float | None = None,
-        creep_ratio_prev: float = 0.0,
-    ) -> None:
-        """Take the measurement of the instant that the line has been simulated to; update the line.
-
-        `centre_m`: position of the centre of mass, where roller 2 represents several; `strain_next`: strain of the web
-        after the span, by default the model's at F_next; `creep_ratio_prev`: `creep_ratio` of the previous span.
-        """
+    def place(self, x1_m: float, x2_m: float, strain_prev: float) -> None:
+        """Place the web at the rollers if it is not yet followed, strained as upstream."""
         self._balance.begin(x1_m, x2_m, strain_prev)
-        others = (nan if centre_m is None else centre_m, nan if strain_next is None else strain_next)
-        values = (x1_m, x2_m, torque_Nm, self._axis2.torque_Nm, strain_prev, F_next_N, *others, creep_ratio_prev)
+
+    def compare(
+        self, x1_m: float, x2_m: float, torque_Nm: float, torque_sim_Nm: float, strain_prev: float, F_next_N: float
+    ) -> None:
+        """Take the measurement of the instant that a line of two rollers has been simulated to; update the line."""
+        self.place(x1_m, x2_m, strain_prev)
+        values = x1_m, x2_m, torque_Nm, torque_sim_Nm, strain_prev, F_next_N, nan, nan, 0.0
         stage = cycle.run_arrays(cycle.COMPARE, tuple(map(float, values)), self._table)
         if stage == cycle.DONE:
             self.has_advanced()
         else:
             self.go_on_from(stage, strain_prev)
-        if self._t["moved"]:
+        if self.moved:
             self._line.show()
+
+    @property
+    def moved(self) -> bool:
+        """True if measured states were transferred that the motors' feedback shows."""
+        return bool(self._t["moved"] != 0.0)
 
     def go_on_from(self, stage: int, strain_prev: float) -> None:
         """Run the interpreted rest of a cycle from `stage` on, where a compiled caller stopped."""

@@ -1,4 +1,4 @@
-"""Protocols of the simulation that a span estimator updates: two rollers with a span, and the second one's motor."""
+"""Protocol of the simulation that a span estimator updates: two rollers with a span."""
 
 from __future__ import annotations
 
@@ -35,11 +35,3 @@ class SpanModel(Protocol):
 
     def show(self) -> None:
         """Update the motors' feedback after a change of state in the vectors."""
-
-
-class SimulatedMotor(Protocol):
-    """Simulated torque: a `MotorPort`, or several motors as one."""
-
-    @property
-    def torque_Nm(self) -> float:
-        """Torque at the motor."""

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import Record, compiled, inlined
 from hilbench.estimation import ring
+from hilbench.estimation.assumptions import LATE
 from hilbench.estimation.ring import RING
 from hilbench.estimation.web_line.block_means import SAME_SPEED
 
@@ -40,9 +41,6 @@ _HIT = 1
 _CHANGED_NOISES, _CHANGED = 6.0, 0.02
 #: Least noise of a block, relative to the tension: the rest of the model's own errors.
 _NOISE_FLOOR = 1e-3
-#: Change of tension from block to block that counts as noise, times this: torque and motion are of one instant to some
-#: milliseconds only.
-_LATE = 0.15
 #: Largest correlation of the noise of successive blocks: a slow oscillation is no sum of random values.
 _MOST_ALIKE = 0.98
 #: Squared residuals over the noise: difference that decides, and largest one of an acceptable explanation.
@@ -176,7 +174,7 @@ def _explain(s: Record, f: float, h: float, may_decide: bool, deviation_N: float
         s.web_last_per_Pa = h
         return False
     df, dh = f - s.last_N, h - s.web_last_per_Pa
-    late_N = _LATE * s.modulus_Pa * dh
+    late_N = LATE * s.modulus_Pa * dh
     weight = s.variance_N2 / (s.variance_N2 + late_N * late_N)
     s.last_N, s.web_last_per_Pa = f, h
     if s.count > 0.0:

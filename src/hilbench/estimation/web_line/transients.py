@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import MATRIX, VECTOR, entry_point
+from hilbench.estimation.assumptions import CERTAIN
 
 Vector = NDArray[np.float64]
 
@@ -24,7 +25,7 @@ Vector = NDArray[np.float64]
 BEFORE: Final = 10
 #: Deviations of a certain transient, and of a possible one; share of the latter's explained squares, and deviations of
 #: noise in addition to that, that may be left unexplained.
-_STANDS_OUT, _MAY_BE = 5.5, 4.0
+_STANDS_OUT = 5.5
 _LEFT_SHARE, _LEFT_NOISE = 0.5, 2.0
 #: Share of a transient's length after which the best fit is final: half a period earlier it looks like one of the
 #: opposite sign.
@@ -109,7 +110,7 @@ class TransientDetector:
         gains = products**2 / sizes
         at = int(np.argmax(gains))
         self._since += 1
-        if gains[at] > max(self._best, _MAY_BE**2):
+        if gains[at] > max(self._best, CERTAIN**2):
             share = float(products[at] / sizes[at])
             self._best, self._since = float(gains[at]), 0
             deviation = hypot(1.0 / sqrt(float(sizes[at])), _OF_MODEL * share)

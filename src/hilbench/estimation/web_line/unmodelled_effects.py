@@ -14,19 +14,19 @@ from typing import Final
 import numpy as np
 
 from hilbench.compiled import VECTOR, entry_point, viewed
+from hilbench.estimation.assumptions import POSITION_FLOOR_M, POSITION_NOISE_M, SEPARABLE, TORQUE_FLOOR_NM
 from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line import unmodelled_filter as filters
 from hilbench.estimation.web_line.balance import MeasuredBalance
+from hilbench.estimation.web_line.block_means import BLOCK_S
 from hilbench.estimation.web_line.config import ModelErrorsConfig, Prior
 from hilbench.estimation.web_line.unmodelled_filter import FILTER, Record
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.parameters import ModelParameters
 
-#: A block: short against the span's transport and the drives' loops, long enough for motion to be differentiated, s.
-_BLOCK_S: Final = 0.02
 #: Prior deviation of E: any force in phase with the strain counts as E until the data separate them.
 _INITIAL_E: Final = 0.5
 #: Random walk of E without measurements, relative per √s.
@@ -39,12 +39,10 @@ _STUCK: Final = 0.6
 _WARMING: Final = (0.15, 1200.0)
 _SHIFT: Final = (0.15, 28800.0)
 _SIMPLIFIED: Final = (0.1, 3600.0)
-#: A parameter counts as identified when the data have shrunk its prior deviation to this share.
-_IDENTIFIED: Final = 0.7
 #: Factor on the deviation of accelerating mass: the errors of a ramp's blocks are alike.
 _ALIKE_IN_A_RAMP: Final = 1.5
-_TORQUE_NOISE_NM, _TORQUE_FLOOR_NM = 0.05, 1e-4
-_POSITION_NOISE_M, _POSITION_FLOOR_M = 2e-7, 2e-8
+#: Noise of the torque until it is measured: the method's default, N·m.
+_TORQUE_NOISE_NM: Final = 0.05
 #: States by the name of the reported quantity, and of a prior.
 _STATES: Final = {
     "torque_offset_Nm": filters.OFFSET,
@@ -165,8 +163,8 @@ class UnmodelledEffects:
         deviations[f.CREEP] /= less**2
         s["prior"] = deviations**2
         s["theta"] = s["base"]
-        s["torque_noise"] = NoiseLevel(_TORQUE_NOISE_NM, _TORQUE_FLOOR_NM).state
-        s["position_noise"] = NoiseLevel(_POSITION_NOISE_M, _POSITION_FLOOR_M).state
+        s["torque_noise"] = NoiseLevel(_TORQUE_NOISE_NM, TORQUE_FLOOR_NM).state
+        s["position_noise"] = NoiseLevel(POSITION_NOISE_M, POSITION_FLOOR_M).state
         s["unrest_N2"] = f.least_unrest_N2(s["tension_N"])
         s["x"][f.E] = s["modulus"] = 1.0
         s["covariance"] = np.diag(s["prior"])
@@ -188,7 +186,7 @@ class UnmodelledEffects:
             evidence["places"][place], evidence["groups"][place] = at, number
 
     def _set_cycle(self, cycle_s: float) -> None:
-        self._record["cycle_s"], self._record["block"] = cycle_s, max(2, round(_BLOCK_S / cycle_s))
+        self._record["cycle_s"], self._record["block"] = cycle_s, max(2, round(BLOCK_S / cycle_s))
 
     def interrupt(self) -> None:
         """Discard the current block: a cycle is missing or unusable."""
@@ -236,15 +234,15 @@ class UnmodelledEffects:
             if at == filters.CREEP:
                 unit = 1.0 - float(s["modulus"] * s["stiffness_N"]) * mean.item(at)
                 unit_of_deviation = unit**2
-            identified = deviation < _IDENTIFIED * priors.item(at)
+            identified = deviation < SEPARABLE * priors.item(at)
             rows.append(Nuisance(name, mean.item(at) / unit, deviation / unit_of_deviation, identified))
         both = [filters.SCALE, filters.MASS]
         deviation = _ALIKE_IN_A_RAMP * sqrt(s["covariance"][np.ix_(both, both)].sum())
-        identified = deviation < _IDENTIFIED * priors.item(filters.MASS)
+        identified = deviation < SEPARABLE * priors.item(filters.MASS)
         rows.append(Nuisance("inertia_share", float(mean[both].sum()), deviation, identified))
         turning = slice(filters.COS2, filters.COS2 + 2)
         deviation = float(np.hypot(*deviations[turning]))
-        identified = deviation < _IDENTIFIED * float(np.hypot(*priors[turning]))
+        identified = deviation < SEPARABLE * float(np.hypot(*priors[turning]))
         amplitude_m, deviation_m = float(np.hypot(*mean[turning])) * self._radius_m, deviation * self._radius_m
         rows.append(Nuisance("eccentricity_m", amplitude_m, deviation_m, identified))
         return tuple(rows)

@@ -32,6 +32,7 @@ import numpy as np
 
 from hilbench.compiled import compiled, inlined, noinline
 from hilbench.estimation import noise_level
+from hilbench.estimation.assumptions import CERTAIN, LATE, MOST_SQUARE, SHAKING
 from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line import periodic_disturbance, unmodelled_evidence
 from hilbench.estimation.web_line.unmodelled_evidence import EVIDENCE
@@ -137,9 +138,9 @@ _DIRECTION_S, _ACCELERATION_S, _USUAL_SPEED_S = 0.02, 0.1, 0.5
 _SAME_SPEED_M_S = 0.01
 #: Share of a block in which a roller is at rest, below which it starts.
 _STARTS = 0.9
-#: A tension is changing that deviates from its mean by so many standard deviations, and by this share of itself;
-#: averaging time of the deviation, s, and most of it that one block counts for.
-_MEAN_S, _FAR, _LEAST_CHANGE, _SWING_S, _MOST_SWING = 5.0, 4.0, 0.01, 60.0, 9.0
+#: Averaging time of the tension, s; it is changing where it deviates from its mean certainly, and by this share of
+#: itself; averaging time of the deviation, s.
+_MEAN_S, _LEAST_CHANGE, _SWING_S = 5.0, 0.01, 60.0
 #: A tension that deviates from the mean of the previous blocks by more, and by more than usual, is in transition: the
 #: separation of creep and scale then depends on a timing that no measurement resolves.
 _TRANSITION = 0.005
@@ -164,24 +165,19 @@ _LEAST_LEFT = 0.1
 _DISTURBANCE_S, _SWAYS = 1.0, 3.0
 #: Random walk of E, relative per √s: while all is estimated, and in quiet time, where it adds no information.
 _WALK, _QUIET_WALK = 1e-3, 4e-3
-#: Share of the inertial force that counts as noise where the speed shakes.
-_SHAKING = 0.1
-#: Change of tension from block to block that counts as noise, times this: torque and motion are of one instant to some
-#: milliseconds only.
-_LATE = 0.15
 #: Share of the force holding a roller at rest that counts as noise between rest and turning.
 _PRESLIDING = 0.25
-#: Innovations beyond so many deviations are no noise; nor is a mean of them over so many blocks beyond so many.
-_SURPRISE, _LEANS, _LEANING_BLOCKS = 4.0, 5.0, 25.0
+#: A mean of the innovations over so many blocks, beyond so many deviations of it, is no noise.
+_LEANS, _LEANING_BLOCKS = 5.0, 25.0
 #: By how much E may have changed then, relative.
 _JUMP, _SMALL_JUMP = 0.3, 0.03
 #: Memory of the innovations' size, s, and the most that one counts of it.
 _EXCESS_S, _MOST_EXCESS = 2.0, 30.0
-#: Time constants of the earlier stated E, s; it jumps when it differs from the short one by so many deviations, and by
-#: this share of itself, at the soonest so long after a jump, s.
-_SOON_S, _BEFORE_S, _USUAL_S, _JUMPS, _LEAST_JUMP = 0.1, 0.5, 5.0, 4.0, 0.02
-#: Deviation of a force that comes and goes at least, relative to the tension; how many times the usual one counts.
-_LEAST_UNREST, _MOST_UNREST = 4e-3, 9.0
+#: Time constants of the earlier stated E, s; it jumps when it differs from the short one certainly, and by this share
+#: of itself, at the soonest the second one after a jump.
+_SOON_S, _BEFORE_S, _USUAL_S, _LEAST_JUMP = 0.1, 0.5, 5.0, 0.02
+#: Deviation of a force that comes and goes at least, relative to the tension.
+_LEAST_UNREST = 4e-3
 #: Time constant with which accepted effects are compensated, s.
 _APPLIED_S = 0.25
 #: Interval of the evaluation of the evidence, s.
@@ -395,11 +391,11 @@ def _block(f: Record, y_N: float, noise_N2: float, duration_s: float) -> None:
     size = innovation_N / sqrt(variance_N2)
     f.jumped_s += duration_s
     f.excess += duration_s / _EXCESS_S * (min(size * size, _MOST_EXCESS) - f.excess)
-    if abs(size) > _SURPRISE and f.surprised == 0.0:
+    if abs(size) > CERTAIN and f.surprised == 0.0:
         f.surprised = 1.0
         return
     freed = 0.0
-    if abs(size) > _SURPRISE or f.stated_jumped != 0.0:
+    if abs(size) > CERTAIN or f.stated_jumped != 0.0:
         freed, f.jumped_s = _JUMP, 0.0
     else:
         f.leaning += (size - f.leaning) / _LEANING_BLOCKS
@@ -420,10 +416,10 @@ def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
     and speed, in quiet time means over seconds, which are free of a block's noise."""
     f.mean_N += duration_s / (_REGRESSOR_S + duration_s) * (web_N - f.mean_N)
     apart_N = f.mean_N - f.usual_web_N
-    least_N2 = (_LEAST_CHANGE * f.tension_N / _FAR) ** 2
+    least_N2 = (_LEAST_CHANGE * f.tension_N / CERTAIN) ** 2
     swing_N2 = max(f.web_swing_N2, least_N2)
-    tension_changes = abs(apart_N) > _FAR * sqrt(swing_N2) and abs(apart_N) > _LEAST_CHANGE * abs(web_N)
-    f.web_swing_N2 += duration_s / _SWING_S * (min(apart_N * apart_N, _MOST_SWING * swing_N2) - f.web_swing_N2)
+    tension_changes = abs(apart_N) > CERTAIN * sqrt(swing_N2) and abs(apart_N) > _LEAST_CHANGE * abs(web_N)
+    f.web_swing_N2 += duration_s / _SWING_S * (min(apart_N * apart_N, MOST_SQUARE * swing_N2) - f.web_swing_N2)
     f.usual_web_N += duration_s / (_MEAN_S + duration_s) * apart_N
     f.speeds_up_s = max(f.speeds_up_s - duration_s, 0.0)
     starts = abs(f.usual_m_s) <= f.standstill_m_s and f.sums[STUCK] < _STARTS
@@ -433,9 +429,9 @@ def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
         f.steady_m_s = f.usual_m_s
     f.steady_m_s += duration_s / (_MEAN_S + duration_s) * (f.usual_m_s - f.steady_m_s)
     lag_N = web_N - f.lagged_N
-    lag_N2 = max(f.lag_swing_N2, (_TRANSITION * f.tension_N / _FAR) ** 2)
-    f.settled_s = f.settled_s + duration_s if abs(lag_N) < _FAR * sqrt(lag_N2) else 0.0
-    f.lag_swing_N2 += duration_s / _MEAN_S * (min(lag_N * lag_N, _MOST_SWING * lag_N2) - f.lag_swing_N2)
+    lag_N2 = max(f.lag_swing_N2, (_TRANSITION * f.tension_N / CERTAIN) ** 2)
+    f.settled_s = f.settled_s + duration_s if abs(lag_N) < CERTAIN * sqrt(lag_N2) else 0.0
+    f.lag_swing_N2 += duration_s / _MEAN_S * (min(lag_N * lag_N, MOST_SQUARE * lag_N2) - f.lag_swing_N2)
     f.excited = 1.0 if f.speeds_up_s > 0.0 or (tension_changes and f.settled_s > _SETTLES_S) else 0.0
     f.lagged_N += duration_s / (_LAG_S + duration_s) * (f.web_before_N - f.lagged_N)
     f.web_before_N = web_N
@@ -449,9 +445,9 @@ def _noise_N2(f: Record, web_N: float, acceleration_m_s2: float) -> float:
     position_m2 = noise_level.variance(f.position_noise)
     white_N2 = f.force_per_torque_per_m**2 * noise_level.variance(f.torque_noise)
     white_N2 += 2.0 * (f.stiffness_N / f.span_m) ** 2 * position_m2
-    shaking_N = _SHAKING * f.mass_kg * (f.acceleration_m_s2 - acceleration_m_s2)
+    shaking_N = SHAKING * f.mass_kg * (f.acceleration_m_s2 - acceleration_m_s2)
     presliding_N = _PRESLIDING * sqrt(f.prior[STUCK]) * (1.0 - abs(2.0 * f.sums[STUCK] - 1.0))
-    late_N = _LATE * (web_N - f.web_before_N)
+    late_N = LATE * (web_N - f.web_before_N)
     edges_N2 = 4.0 * position_m2 * (f.mass_kg / (n * dt * dt)) ** 2
     return float((white_N2 / n + edges_N2 + shaking_N**2 + presliding_N**2 + late_N**2) * max(f.excess, 1.0))
 
@@ -529,9 +525,9 @@ def _look_at_stated(f: Record, web_N: float) -> None:
         return
     least_N2 = least_unrest_N2(f.tension_N)
     jump_N, apart_N = abs(f.stated - f.soon_before) * web_N, (f.stated - f.before) * web_N
-    jumps = jump_N > max(_JUMPS * sqrt(f.unrest_N2), _LEAST_JUMP * f.stated * web_N)
+    jumps = jump_N > max(CERTAIN * sqrt(f.unrest_N2), _LEAST_JUMP * f.stated * web_N)
     f.stated_jumped = 1.0 if jumps and f.speeds_up_s == 0.0 and f.jumped_s > _BEFORE_S else 0.0
-    more_N2 = min(apart_N * apart_N, _MOST_UNREST * f.unrest_N2) - f.unrest_N2
+    more_N2 = min(apart_N * apart_N, MOST_SQUARE * f.unrest_N2) - f.unrest_N2
     f.unrest_N2 = max(f.unrest_N2 + duration_s / _USUAL_S * more_N2, least_N2)
     f.soon_before += duration_s / (_SOON_S + duration_s) * (f.stated - f.soon_before)
     f.before += duration_s / (_BEFORE_S + duration_s) * apart_N / web_N if web_N != 0.0 else 0.0

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from math import inf, sqrt
 
-from hilbench.compiled import interpreted
 from hilbench.estimation.plausibility import STANDSTILL_M_S
 from hilbench.estimation.problems import Problem
-from hilbench.estimation.web_line.anomalies import PASSED_SPANS
 from hilbench.estimation.web_line.config import (
     METHODS,
     ChangepointConfig,
@@ -16,23 +14,23 @@ from hilbench.estimation.web_line.config import (
     InputConfig,
     SynchronizerConfig,
 )
-from hilbench.estimation.web_line.initial_strains import InitialStrains, creeps_per_N, initial_strains
+from hilbench.estimation.web_line.initial_strains import initial_strains
 from hilbench.estimation.web_line.rollers import Rollers
 from hilbench.estimation.web_line.span_estimator import UNKNOWN_AT_REST, UNKNOWN_STRAIN, Known, SpanEstimator
-from hilbench.estimation.web_line.span_estimator_cycle import DIVERGED_S, LARGEST_STRAIN, equivalent_strain
+from hilbench.estimation.web_line.span_estimator_cycle import LARGEST_STRAIN
 from hilbench.estimation.web_line.unmodelled_effects import priors_behind
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.sample_coherence import IncrementCheck, SampleCoherence
+from hilbench.plant.sample_coherence import SampleCoherence
 from hilbench.plant.web_line.line import Line
-from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.topology.signals import Shape
 from hilbench.twin.estimated_errors import EstimatedModelError
 from hilbench.twin.machines import web_line_cycle
 from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured
-from hilbench.twin.machines.web_line_cycle import EstimatedSpan, LineInVectors
+from hilbench.twin.machines.web_line_cycle import EstimatedSpan, LineCycle
 from hilbench.twin.machines.web_line_errors import as_effects
+from hilbench.twin.machines.web_other_spans import OtherSpans
 from hilbench.twin.machines.web_section import WebSection
 from hilbench.twin.machines.web_splice_tracker import SpliceTracker
 
@@ -68,14 +66,12 @@ class WebLineTwin:
         self._estimated: dict[int, EstimatedSpan] = {}
         for span, method in methods.items():
             along = [other for other in spans if other != span and shape.shows(other) == span]
-            section = WebSection(model, self.plant, self.ports, span, self._rollers, along)
+            section = WebSection(model, self.plant, span, self._rollers, along)
             method = _over_rollers(method, model.axis_count - span)
             of_span = config.of_span(method, priors_behind(config.priors, span, model))
-            tracking = SpanEstimator(section.model, of_span, section, section, cycle_s)
+            tracking = SpanEstimator(section.model, of_span, section, cycle_s)
             self._estimated[span] = EstimatedSpan(span, section, tracking)
         self._all = tuple(self._estimated.values())
-        #: Shortcut without a loop for queries of every cycle.
-        self._only = self._all[0] if len(self._all) == 1 else None
         first, joined = self._all[0].span, list[SpanEstimator]()
         for span in range(first, len(spans) + 1):
             if span not in self._estimated:
@@ -84,7 +80,7 @@ class WebLineTwin:
         looks = self._several if config.splices is None else config.splices
         self._joined = joined if looks else []
         others = [span for span in spans if span not in methods]
-        self._others = _OtherSpans(model, others, config.transfer.strain_limit) if others else None
+        self._others = OtherSpans(model, others, config.transfer.strain_limit) if others else None
         self._boundary_inputs = boundary_inputs
         self._metres_per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
         self._last_at: tuple[float, Sequence[float]] | None = None  # while a reset may be due
@@ -95,13 +91,13 @@ class WebLineTwin:
 
     def _set_cycle(self, cycle_s: float) -> None:
         self._cycle_s = cycle_s
-        self._least_m = least_travel_m(self._model, cycle_s)
-        self._pairing = SampleCoherence(self._least_m)
+        self._pairing = SampleCoherence(least_travel_m(self._model, cycle_s))
         self._splice_tracker = SpliceTracker(self._joined, cycle_s) if self._joined else None
         # The measurement is one torque a cycle, while the set points of a ramp go in steps: where drives have followed
         # them well before the next, as on the longer cycles of several spans, the mean is another one.
-        self._ripples = self._several or self._model.velocity_loop_per_s(2) * cycle_s > _RIPPLES_FROM
-        self._steady = IncrementCheck(cycle_s)  # of the axis after the first span with an estimator
+        ripples = self._several or self._model.velocity_loop_per_s(2) * cycle_s > _RIPPLES_FROM
+        parts = self._pairing, self._rollers, self._splice_tracker, self._others
+        self._cycle = LineCycle(self._all, self._model, self.plant, cycle_s, *parts, ripples=ripples)
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
         """Freeze adaptation of E; see `TwinMachine`."""
@@ -124,13 +120,7 @@ class WebLineTwin:
     @property
     def problem(self) -> Problem | None:
         """Reason why the last measurement could not be used; of several spans the first problem."""
-        if self._only is not None:
-            return self._only.tracking.problem
-        for each in self._all:
-            problem = each.tracking.problem
-            if problem is not None:
-                return problem
-        return None
+        return next((problem for problem in self.problems.values() if problem is not None), None)
 
     @property
     def problems(self) -> Mapping[int, Problem | None]:
@@ -148,44 +138,34 @@ class WebLineTwin:
     @property
     def refused(self) -> bool:
         """True if a measured state was implausible in the last cycle and was not transferred."""
-        for each in self._all:
-            if each.tracking.refused:
-                return True
-        return self._others is not None and self._others.refused
+        refused = any(each.tracking.refused for each in self._all)
+        return refused or (self._others is not None and self._others.refused)
 
     @property
     def synchronized(self) -> bool:
         """True if E of each span is known as configured, and the web is the one that was measured."""
-        if self._only is not None:
-            return self._only.tracking.synchronized
         return all(each.tracking.synchronized for each in self._all)
 
     @property
     def separable(self) -> bool:
         """True if the data separate all nuisance parameters from E."""
-        if self._only is not None:
-            return self._only.tracking.separable
         return all(each.tracking.separable for each in self._all)
 
     @property
     def torque_shift_Nm(self) -> float:
         """Compensated shift of the measured torque; of several spans the largest."""
-        if self._only is not None:
-            return self._only.tracking.torque_shift_Nm
         return max([each.tracking.torque_shift_Nm for each in self._all], key=abs)
 
     @property
     def torque_undecided(self) -> bool:
         """True if the torque has changed and the cause, E or a torque shift, is still undecided."""
-        if self._only is not None:
-            return self._only.tracking.torque_undecided
         return any(each.tracking.torque_undecided for each in self._all)
 
     def reset(self) -> None:
         """Reset to the initially assumed E, at rest."""
         for each in self._all:
             each.tracking.reset()
-            each.residual_Nm = 0.0
+        self._cycle.forget_residuals()
         self._start_anew()
         at_rest = [0.0] * len(self.ports)
         self.plant.set_state(_states(self._boundary_inputs("strain_prev"), at_rest, at_rest, at_rest))
@@ -226,40 +206,27 @@ class WebLineTwin:
         self._kept = ([each.tracking.known() for each in self._all],)
         if self._others is not None:
             self._others.webs = webs
-        self._steady.reset()
+        self._cycle.steady.reset()
         return True
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
         """Update the estimators; False if the positions are not coherent (of one instant)."""
-        positions_m = self._positions_m(measured)
-        if not self._pairing.update(*positions_m):
-            self._steady.miss()
-            self._go_without()
+        positions_rad, torques_Nm = zip(*measured, strict=True)
+        simulated_Nm = [port.torque_Nm for port in self.ports]
+        boundary = self._boundary_inputs("strain_prev"), self._boundary_inputs("F_next_N")
+        positions_m = self._cycle.compare(positions_rad, torques_Nm, simulated_Nm, *boundary)
+        if positions_m is None:
             return False
-        if not self._steady.update(positions_m[self._all[0].span]):
-            self._go_without()
-            return False
-        strain_prev, F_next_N = self._boundary_inputs("strain_prev"), self._boundary_inputs("F_next_N")
-        torques_Nm = [torque_Nm for _, torque_Nm in measured]
-        others = self._others
-        measured_Nm = torques_Nm
-        if self._ripples:
-            ripples_Nm = self.plant.torque_ripples_Nm(self._cycle_s).tolist()
-            torques_Nm = [now_Nm + more_Nm for now_Nm, more_Nm in zip(measured_Nm, ripples_Nm, strict=True)]
-        if self._several:
-            self._rollers.update(positions_m, torques_Nm, self._cycle_s)
-        if others is not None:
-            others.follow(positions_m, strain_prev, F_next_N, self._cycle_s)
+        if any(each.tracking.moved for each in self._all):
+            self.plant.show()
         for each in self._all:
-            less_Nm = each.tracking.torque_shift_Nm, self.ports[each.span].torque_Nm
-            self._compare(each, positions_m, torques_Nm, strain_prev, F_next_N)
-            each.residual_Nm = measured_Nm[each.span] - less_Nm[0] - less_Nm[1]
-        if self._splice_tracker is not None:
-            self._splice_tracker.update(positions_m[self._all[0].span - 1 :])
+            rad_per_m = 1.0 / self._metres_per_rad[each.span]
+            each.tracking.look_for_known_change(self.ports[each.span].setpoint / rad_per_m)
+        others = self._others
         if others is not None and self._transfer.strain:
             others.transfer(self.plant)
         if self.refused or self._must_come_back:
-            self._bring_back(time_s, positions_m, measured_Nm)
+            self._bring_back(time_s, positions_m, torques_Nm)
         else:
             self._last_at = None
         return True
@@ -281,51 +248,6 @@ class WebLineTwin:
         believed = {span: strain for span, strain in strains.items() if abs(strain) <= LARGEST_STRAIN}
         self.plant.set_state(states | {f"strain{span}": strain for span, strain in believed.items()})
 
-    def _strain_before(self, span: int, strain_prev: float) -> float:
-        """Measured strain of the web that enters a span."""
-        if span == 1:
-            return strain_prev
-        before = self._estimated.get(span - 1)
-        if before is not None:
-            return before.tracking.span.outlet_strain
-        assert self._others is not None, "a span is estimated, or among the others"
-        return interpreted(equivalent_strain)(self._others.strain(span - 1), self._others.creep_ratio(span - 1))
-
-    def _creep_ratio_before(self, span: int) -> float:
-        """Creep ratio at the roller before a span: share of missing web per turn, in reverse more."""
-        if span == 1:
-            return 0.0
-        before = self._estimated.get(span - 1)
-        if before is not None:
-            return before.tracking.span.creep_ratio
-        assert self._others is not None, "a span is estimated, or among the others"
-        return self._others.creep_ratio(span - 1)
-
-    def _strain_behind(self, span: int) -> float | None:
-        """Last measured strain of the web after a span, which enters it in reverse; None at the end of the line."""
-        behind = self._estimated.get(span + 1)
-        if behind is not None:
-            return behind.tracking.span.reverse_outlet_strain
-        return None if self._others is None or span == len(self.ports) - 1 else self._others.strain(span + 1)
-
-    def _compare(
-        self,
-        each: EstimatedSpan,
-        positions_m: Sequence[float],
-        torques_Nm: Sequence[float],
-        strain_prev: float,
-        F_next_N: float,
-    ) -> None:
-        span, tracking = each.span, each.tracking
-        torque_Nm, centre_m = torques_Nm[span], None
-        if self._several:
-            torque_Nm, centre_m = each.section.measured_torque_Nm(torques_Nm), each.section.centre_m
-        strain_before, creep_ratio = self._strain_before(span, strain_prev), self._creep_ratio_before(span)
-        around = strain_before, F_next_N, centre_m, self._strain_behind(span), creep_ratio
-        tracking.compare(positions_m[span - 1], positions_m[span], torque_Nm, *around)
-        rad_per_m = 1.0 / self._metres_per_rad[span]
-        tracking.look_for_known_change(self.ports[span].setpoint / rad_per_m)
-
     def _positions_m(self, measured: Sequence[Measured]) -> list[float]:
         """Positions of all axes at the web."""
         return [
@@ -336,10 +258,7 @@ class WebLineTwin:
     def miss(self) -> None:
         """Skip a cycle without measurement: the next one is a cycle further."""
         self._pairing.miss()
-        self._steady.miss()
-        self._go_without()
-
-    def _go_without(self) -> None:
+        self._cycle.steady.miss()
         for each in self._all:
             each.tracking.miss()
 
@@ -368,22 +287,10 @@ class WebLineTwin:
         if self._others is None:
             web_line_cycle.warm_up()
 
-    def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> LineInVectors:
+    def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> LineCycle:
         """Runner in vectors; see `VectorMachine`."""
-        return LineInVectors(
-            self._all,
-            self._pairing,
-            self._steady,
-            self.plant.step_in_vectors(self._cycle_s),
-            [self._model.motor_rad_per_m(axis) for axis in range(1, self._model.axis_count + 1)],
-            self._least_m,
-            self._cycle_s,
-            self._ripples,
-            self._rollers,
-            self._splice_tracker,
-            vectors,
-            fallback,
-        )
+        self._cycle.begin(vectors, fallback)
+        return self._cycle
 
     def use_method(self, number: int) -> None:
         """Switch to another synchronizer, by its number in the vocabulary, from the present E."""
@@ -404,10 +311,11 @@ class WebLineTwin:
             values.append(tension_N)
             each = self._estimated.get(span)
             if each is not None:
+                residual_Nm = self._cycle.residual_Nm(self._all.index(each))
                 modulus_Pa, deviation_Pa = each.tracking.modulus_and_deviation_Pa
                 # The effective E is stated, as of a measured web.
                 factor = line.elasticity_factor(span) * each.tracking.span.series_factor
-                values += (factor * modulus_Pa, factor * deviation_Pa, self.ports[span].torque_Nm, each.residual_Nm)
+                values += (factor * modulus_Pa, factor * deviation_Pa, self.ports[span].torque_Nm, residual_Nm)
         return tuple(values)
 
     @property
@@ -427,84 +335,6 @@ def _over_rollers(method: SynchronizerConfig, rollers: int) -> SynchronizerConfi
     if rollers == 1 or not isinstance(method, ChangepointConfig):
         return method
     return method.model_copy(update={"cautious_pct": sqrt(rollers) * method.cautious_pct})
-
-
-class _OtherSpans:
-    """Spans without an estimator, followed on the measured motion: their strains are transferred.
-
-    `spans`: their numbers; `strain_limit`: largest plausible difference of a strain.
-    """
-
-    def __init__(self, model: ModelParameters, spans: Sequence[int], strain_limit: float) -> None:
-        self._web = LineFollower(model)
-        self._creeps_per_N, self._behind_N = creeps_per_N(model), model.boundary.downstream_tension_N
-        self._spans = tuple(spans)
-        self._limit = strain_limit
-        self._passed_m = PASSED_SPANS * max(model.span_length_m(span) for span in range(1, model.span_count + 1))
-        self._moduli = [f"span{span}.youngs_modulus_Pa" for span in range(1, model.span_count + 1)]
-        self.webs: InitialStrains | None = None  #: of the line, as of the release
-        self.reset()
-
-    def reset(self) -> None:
-        """Take the next positions as the first."""
-        self.refused = False
-        self._refused_m = self._refused_s = 0.0  # web that has passed, and time, while states were refused
-        self._running = False
-        self._last_m: Sequence[float] = ()
-
-    def follow(self, positions_m: Sequence[float], strain_prev: float, F_next_N: float, cycle_s: float) -> None:
-        """Follow the rollers to these positions (N,), a cycle after the last, with the stated boundary inputs."""
-        web = self._web
-        web.set_boundary(strain_prev, F_next_N)
-        self._behind_N = F_next_N
-        if self._running:
-            web.follow(positions_m, cycle_s)
-        else:
-            web.reset(positions_m, strain=[strain_prev] * (len(positions_m) - 1))
-        travels_m = [x - then for x, then in zip(positions_m, self._last_m, strict=True)] if self._running else []
-        travel_m = abs(travels_m[0]) if travels_m else 0.0
-        if self.webs is not None and travels_m:
-            for span in self._spans:
-                self.webs.move(span - 1, travels_m[span] / cycle_s, cycle_s)
-        self._refused_m = self._refused_m + travel_m if self.refused else 0.0
-        self._refused_s = self._refused_s + cycle_s if self.refused else 0.0
-        self._last_m = positions_m
-        self._running = True
-
-    @property
-    def diverged(self) -> bool:
-        """True if diverged, as `SpanEstimator.diverged`."""
-        return self._refused_s > DIVERGED_S and self._refused_m > self._passed_m
-
-    def strain(self, span: int) -> float:
-        """Measured strain of the web in one of these spans."""
-        return float(self._web.strain[span - 1])
-
-    def creep_ratio(self, span: int) -> float:
-        """Share by which less web leaves one of these spans than the roller after it turns, by creep."""
-        tensions, behind_N = self._web.tension_N, self._behind_N
-        if span < len(tensions):
-            behind_N = float(tensions[span])
-        return self._creeps_per_N[span - 1] * (float(tensions[span - 1]) - behind_N)
-
-    @property
-    def strains(self) -> dict[int, float]:
-        """Measured strains, by span."""
-        return {span: self.strain(span) for span in self._spans}
-
-    def transfer(self, line: Line) -> None:
-        """Transfer the measured strains to the line, unless they are implausible."""
-        states = {}
-        self.refused = False
-        measured, simulated = self._web.strain.tolist(), line.strain.tolist()
-        for at in self._spans:
-            if abs(measured[at - 1] - simulated[at - 1]) <= self._limit:
-                states[f"strain{at}"] = measured[at - 1]
-            else:
-                self.refused = True
-        for span, name in enumerate(self._moduli, 1):
-            self._web.put_modulus(span, line.parameter(name))
-        line.set_state(states)
 
 
 def _states(strain: float, x_m: Sequence[float], v_m_s: Sequence[float], tau_Nm: Sequence[float]) -> dict[str, float]:

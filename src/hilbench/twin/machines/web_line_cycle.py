@@ -1,5 +1,5 @@
-"""Compiled cycle of the twin of a web line: `WebLineTwin.compare`, `listen`, the step of its line and `published`, with
-the `TwinApplication` status for the next SYNC.
+"""Compiled cycle of the twin of a web line: the comparison with the measurements; in vectors also `listen`, the step of
+its line and `published`, with the `TwinApplication` status for the next SYNC.
 
 It runs in stages as `span_estimator_cycle.run` does: it returns the stage of a rare event, the interpreter does its
 part, and calls it again from the following stage. All state is in vectors, addressed by a table: those of the line,
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import nan
+from math import isnan, nan
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from hilbench.compiled import (
     arrays_in,
     compiled,
     entry_point,
+    interpreted,
     load,
     merged,
     record_type,
@@ -31,7 +32,7 @@ from hilbench.compiled import (
     rows_of,
     table_of,
 )
-from hilbench.cycle_program import CompiledStage
+from hilbench.cycle_program import CompiledStage, never
 from hilbench.estimation.bank import Places
 from hilbench.estimation.web_line import balance, rollers, torque_shift
 from hilbench.estimation.web_line import span_estimator_cycle as cycle
@@ -45,29 +46,41 @@ from hilbench.plant.sample_coherence import IncrementCheck, SampleCoherence, coh
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_vectors, rig_cycle
 from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_vectors import LineVectors
-from hilbench.plant.web_line.simulated import LineStep
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.twin.machines import web_splice_tracker
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
+from hilbench.twin.machines.web_other_spans import OtherSpans
 from hilbench.twin.machines.web_section import WebSection
 from hilbench.twin.machines.web_splice_tracker import TRACKER, SpliceTracker
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED, TRANSFER_REFUSED
 
-#: Stages to resume at after an interpreted part: next span; end of the cycle with compared measurements, or without.
-#: `run` returns an interpreted stage of `span_estimator_cycle`, or one of these.
-_NEXT_SPAN, _FINISH, _FINISH_WITHOUT, _UNPAIRED, PASSAGE, _DONE, _LOOK, _WITHOUT = range(cycle.DONE + 1, cycle.DONE + 9)
+#: Stages to resume at after an interpreted part: the same span, or the next one; end of the cycle with compared
+#: measurements, or without. Stages for the interpreter, beside those of `span_estimator_cycle`: positions of different
+#: instants; spans without an estimator; a span whose web is not placed yet; a splice. Then the final codes.
+_SAME_SPAN, _NEXT_SPAN, _FINISH, _FINISH_WITHOUT = range(cycle.DONE + 1, cycle.DONE + 5)
+_UNPAIRED, _OTHERS, _PLACE, PASSAGE = range(_FINISH_WITHOUT + 1, _FINISH_WITHOUT + 5)
+_COMPARED, _DONE, _LOOK, _WITHOUT = range(PASSAGE + 1, PASSAGE + 5)
 #: Machine result of each final code.
-_ENDS = {_DONE: WENT_ON, _LOOK: LOOK, _WITHOUT: MISSED}
+_ENDS = {_COMPARED: WENT_ON, _DONE: WENT_ON, _LOOK: LOOK, _WITHOUT: MISSED}
 
 #: Least travel of the coherence check, drive samples of a cycle, cycle time; upstream-strain correction of an
-#: interpreted method; flags: torques are corrected for their ripple, splices are tracked. Span of an interpreted part,
-#: from 0, and the status of the last SYNC.
+#: interpreted method; flags: torques are corrected for their ripple, splices are tracked, there are spans without an
+#: estimator, the line is stepped by its object. Estimator of an interpreted part, from 0, and the status of the last
+#: SYNC.
 _FIGURES: Final = record_type(
-    *("least_travel_m", "samples", "cycle_s", "input_strain", "ripples", "tracks_splices"), *("at_span", "status")
+    *("least_travel_m", "samples", "cycle_s", "input_strain", "ripples", "tracks_splices", "has_others", "by_object"),
+    *("at_span", "status"),
 )
-#: Of each span: deviation up to which E counts as known; separable flag of an interpreted method; strain of the
-#: entering web; torque residual; last reported torque shift and undecided flag.
-_SPAN: Final = record_type("known_pct", "separable", "strain_before", "residual_Nm", "shift_Nm", "undecided")
+#: Of each span with an estimator: its index, from 0; strain of the web before and after it, and creep ratio there,
+#: where its neighbour has none (NaN: it has); deviation up to which E counts as known; separable flag of an interpreted
+#: method; strain of the entering web; torque residual; last reported torque shift and undecided flag.
+_SPAN: Final = record_type(
+    *("place", "before_strain", "before_creep", "behind_strain", "known_pct", "separable", "strain_before"),
+    *("residual_Nm", "shift_Nm", "undecided"),
+)
 #: Places in the values of stated strain upstream and tension downstream; in the integers of SYNC number and status.
 _AT: Final = record_type("strain_prev", "F_next_N", "number", "status", of=np.int64)
 #: Places in the values of the outputs of a span.
@@ -117,7 +130,7 @@ def _of_span(table: Places, k: int) -> SpanEstimatorArrays:
 
 @compiled
 def _torque_of_motors_Nm(shown: Vector, rad_per_m: Vector, span: int) -> float:
-    """Compiled `WebSection.torque_Nm`."""
+    """Torque of the simulated motors after a span (from 0), referred to the first of them."""
     total_Nm = 0.0
     for axis in range(span + 1, len(rad_per_m)):
         total_Nm += shown[rig_cycle.SHOWN * axis + _TORQUE] * (rad_per_m[axis] / rad_per_m[span + 1])
@@ -133,52 +146,59 @@ def _measured(a: _LineArrays) -> bool:
     if not coherent(a.travels, x_m, figures.least_travel_m):
         a.steady[sample_coherence.STEADY_MISSED] += 1.0
         return False
-    if not increments_steadily(a.steady, x_m[1]):
+    if not increments_steadily(a.steady, x_m[int(a.spans[0].place) + 1]):
         return False
-    if figures.ripples != 0.0:  # as `WebLineTwin.compare`
-        torques_Nm = a.torques_Nm
+    torques_Nm = a.torques_Nm
+    if figures.ripples != 0.0:
         line_vectors.put_torque_ripples(a.line.p, a.line.s, a.motors, int(figures.samples), torques_Nm)
-        for axis in range(len(x_m)):
-            torques_Nm[axis] += measured[_MEASURED_SIZE * axis + _TORQUE]
-        if len(x_m) > 2:
-            rollers.take(a.rollers, x_m, torques_Nm, figures.cycle_s)
+    for axis in range(len(x_m)):
+        torque_Nm = measured[_MEASURED_SIZE * axis + _TORQUE]
+        torques_Nm[axis] = torque_Nm + torques_Nm[axis] if figures.ripples != 0.0 else torque_Nm
+    if len(x_m) > 2:
+        rollers.take(a.rollers, x_m, torques_Nm, figures.cycle_s)
     return True
 
 
 @compiled
 def _compare(a: _LineArrays, table: Places, first: int, strain_prev: float, F_next_N: float) -> int:
-    """Compare the spans from this one on (from 0); returns the stage that needs the interpreter, or _FINISH."""
+    """Compare the spans with estimators from this one on (from 0); returns the stage that needs the interpreter, or
+    _FINISH."""
     spans, rad_per_m, shown, x_m = a.spans, a.rad_per_m, a.shown, a.positions_m
     for k in range(first, len(spans)):
-        of_span, strain_before, creep_ratio = table[_OWN + k * cycle.ROWS :], strain_prev, 0.0
-        t, at = _of_span(table, k).t, rig_cycle.SHOWN * (k + 1) + _TORQUE
-        if k > 0:
+        span, v = spans[k], _of_span(table, k)
+        place, t, strain_before, creep_ratio = int(span.place), v.t, span.before_strain, span.before_creep
+        if place == 0:
+            strain_before, creep_ratio = strain_prev, 0.0
+        elif isnan(strain_before):
             before = _of_span(table, k - 1)
             strain_before = cycle.outlet_strain(before.t, balance.strain(before.balance))
             creep_ratio = before.t.creep_ratio
-            if before.t.moved != 0.0:
-                _show(a)
-        torque_Nm, centre_m = a.measured[_MEASURED_SIZE * (k + 1) + _TORQUE], nan
-        spans[k].residual_Nm = torque_Nm - t.shift_Nm - shown[at]
-        if a.figures.ripples != 0.0:
-            torque_Nm = a.torques_Nm[k + 1]
-        if len(spans) > 1:
-            torque_Nm += rollers.force_behind_N(a.rollers, k + 2) / rad_per_m[k + 1]
-            centre_m = rollers.centre_m(a.rollers, k + 2)
-        torque_sim_Nm = _torque_of_motors_Nm(shown, rad_per_m, k)
-        strain_behind = nan
-        if k + 1 < len(spans):
+        if k > 0 and _of_span(table, k - 1).t.moved != 0.0:
+            _show(a)
+        span.strain_before = strain_before
+        if v.balance.s.started == balance.NOT_STARTED:
+            a.figures.at_span = k
+            return _PLACE
+        at = rig_cycle.SHOWN * (place + 1) + _TORQUE
+        span.residual_Nm = a.measured[_MEASURED_SIZE * (place + 1) + _TORQUE] - t.shift_Nm - shown[at]
+        torque_Nm, centre_m, strain_behind = a.torques_Nm[place + 1], nan, span.behind_strain
+        if len(x_m) > 2:
+            torque_Nm += rollers.force_behind_N(a.rollers, place + 2) / rad_per_m[place + 1]
+            centre_m = rollers.centre_m(a.rollers, place + 2)
+        torque_sim_Nm = _torque_of_motors_Nm(shown, rad_per_m, place)
+        if isnan(strain_behind) and k + 1 < len(spans):
             behind = _of_span(table, k + 1)
             strain_behind = cycle.reverse_outlet_strain(behind.t, balance.strain(behind.balance))
         around = strain_before, F_next_N, centre_m, strain_behind, creep_ratio
-        compared = x_m[k], x_m[k + 1], torque_Nm, torque_sim_Nm, *around
-        stage = run_arrays(cycle.COMPARE, compared, of_span)
+        compared = x_m[place], x_m[place + 1], torque_Nm, torque_sim_Nm, *around
+        stage = run_arrays(cycle.COMPARE, compared, table[_OWN + k * cycle.ROWS :])
         if stage != cycle.DONE:
-            a.figures.at_span, spans[k].strain_before = k, strain_before
+            a.figures.at_span = k
             return stage
     if a.figures.tracks_splices != 0.0:
         v = _of_span(table, 0)
-        if not web_splice_tracker.passes(a.tracker, a.sums, v.t, balance.strain(v.balance), x_m[0]):
+        before_m = x_m[int(spans[0].place)]
+        if not web_splice_tracker.passes(a.tracker, a.sums, v.t, balance.strain(v.balance), before_m):
             return PASSAGE
     return _FINISH
 
@@ -248,11 +268,17 @@ def _run(stage: int, table: Places) -> int:
     strain_prev, F_next_N = a.values[at.strain_prev], a.values[at.F_next_N]
     if stage == cycle.COMPARE and not _measured(a):
         return _UNPAIRED
-    if stage == cycle.COMPARE or stage == _NEXT_SPAN:
-        first = 0 if stage == cycle.COMPARE else int(a.figures.at_span) + 1
+    if stage == cycle.COMPARE:
+        a.figures.at_span, stage = 0.0, _SAME_SPAN
+        if a.figures.has_others != 0.0:
+            return _OTHERS
+    if stage in (_SAME_SPAN, _NEXT_SPAN):
+        first = int(a.figures.at_span) + (1 if stage == _NEXT_SPAN else 0)
         stage = _compare(a, table, first, strain_prev, F_next_N)
         if stage != _FINISH:
             return stage
+    if a.figures.by_object != 0.0:
+        return _COMPARED if stage == _FINISH else _WITHOUT
     _go_on(a, strain_prev, F_next_N)
     for k in range(len(a.spans)):
         _publish(a, _of_span(table, k).t, k)
@@ -276,59 +302,118 @@ class EstimatedSpan:
     span: int
     section: WebSection
     tracking: SpanEstimator
-    residual_Nm: float = 0.0  #: torque of the axis after it, measured less simulated
 
 
-class LineInVectors:
-    """Runner of a `WebLineTwin` in vectors; see `machine.InVectors`.
+class LineCycle:
+    """Comparison of a `WebLineTwin` with the measurements of a cycle, and, in vectors, all of its cycle; see
+    `machine.InVectors`.
 
-    `estimated` (K,): all spans; `rad_per_m` (N,): of the motors, at the web; `ripples`: torques are corrected for their
-    ripple; `passage`: None without splice tracking.
+    `estimated` (K,): spans with an estimator; `others`: those without, if any; `passage`: None without splice tracking;
+    `ripples`: torques are corrected for their ripple.
     """
 
     def __init__(
         self,
         estimated: Sequence[EstimatedSpan],
-        pairing_of_axes: SampleCoherence,
-        steady: IncrementCheck,
-        line: LineStep,
-        rad_per_m: Sequence[float],
-        least_travel_m: float,
+        model: ModelParameters,
+        plant: Line,
         cycle_s: float,
-        ripples: bool,
+        pairing_of_axes: SampleCoherence,
         of_rollers: Rollers,
         passage: SpliceTracker | None,
-        vectors: MachineVectors,
-        fallback: Callable[[int], bool],
+        others: OtherSpans | None,
+        *,
+        ripples: bool,
     ) -> None:
-        self._fallback = fallback
-        self._estimated, self._splice_tracker, self._values = estimated, passage, vectors.values
-        travels, positions_m = pairing_of_axes.vectors(len(rad_per_m))
-        self._positions_m = positions_m
-        figures = least_travel_m, line.samples, cycle_s, 0.0, ripples, passage is not None, 0.0, 0.0
-        self._figures = np.array([figures], _FIGURES)
-        known = [(each.tracking.config.synchronized_pct, each.residual_Nm) for each in estimated]
-        self._spans = np.array([(pct, 1.0, 0.0, residual_Nm, nan, nan) for pct, residual_Nm in known], _SPAN)
-        boundary = vectors.boundary_places["strain_prev"], vectors.boundary_places["F_next_N"]
+        self._estimated, self._splice_tracker, self._others = estimated, passage, others
+        self._plant, self._cycle_s, axes = plant, cycle_s, model.axis_count
+        self.steady = IncrementCheck(cycle_s)  #: of the axis after the first span with an estimator
+        step, least_m = plant.step_in_vectors(plant.vectors.p.item(lay.W_SAMPLE_TIME_S)), least_travel_m(model, cycle_s)
+        travels, self._positions_m = pairing_of_axes.vectors(axes)
+        flags = ripples, passage is not None, others is not None, True
+        self._figures = np.array([(least_m, 0.0, cycle_s, 0.0, *flags, 0.0, 0.0)], _FIGURES)
+        known = [(each.span - 1, each.tracking.config.synchronized_pct) for each in estimated]
+        rows = [(place, nan, nan, nan, pct, 1.0, 0.0, 0.0, nan, nan) for place, pct in known]
+        self._spans = np.array(rows, _SPAN)
         tracker, sums = (np.zeros(1, TRACKER), np.zeros(1, SUMS)) if passage is None else passage.arrays
-        self._own = _LineArrays(
-            *(travels, steady.state, self._figures, self._spans, np.array(rad_per_m)),
-            *(positions_m, np.zeros(len(rad_per_m)), vectors.measured, vectors.asked, vectors.shown),
-            *(line.motors, line.sensors, line.silence, vectors.values, vectors.whole),
-            np.array([(*boundary, vectors.number, vectors.status)], _AT),
-            np.array(vectors.published, np.int64).view(_PUBLISHED),
+        rad_per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, axes + 1)])
+        own = np.zeros(_MEASURED_SIZE * axes), np.zeros(axes), np.zeros(rig_cycle.SHOWN * axes)
+        self._by_object = _LineArrays(
+            *(travels, self.steady.state, self._figures, self._spans, rad_per_m, self._positions_m, np.zeros(axes)),
+            *own,
+            step.motors,
+            *(step.sensors, step.silence, np.zeros(2)),
+            np.zeros(2, np.int64),
+            np.array([(0, 1, 0, 1)], _AT),
+            np.zeros(len(estimated), _PUBLISHED),
             of_rollers.arrays,
             tracker,
             sums,
-            estimated[0].section.vectors,
+            plant.vectors,
         )
-        self._of, self._table = [each.tracking.table for each in estimated], np.zeros((0, 0), np.int64)
+        self._own, self._of = self._by_object, list[Places]()
+        self._fallback: Callable[[int], bool] = never
+
+    @property
+    def is_by_object(self) -> bool:
+        """True if it is not in vectors: the line is stepped by its object."""
+        return bool(self._figures["by_object"][0])
+
+    def residual_Nm(self, place: int) -> float:
+        """Torque of the axis after the span of an estimator, from 0, measured less simulated."""
+        return float(self._spans["residual_Nm"][place])
+
+    def forget_residuals(self) -> None:
+        """Reset the torque residuals."""
+        self._spans["residual_Nm"] = 0.0
+
+    def compare(
+        self,
+        positions_rad: Sequence[float],
+        torques_Nm: Sequence[float],
+        simulated_Nm: Sequence[float],
+        strain_prev: float,
+        F_next_N: float,
+    ) -> Sequence[float] | None:
+        """Compare measured positions and torques (N,), and simulated torques, of the motors; returns the positions at
+        the web, None if they are not coherent (of one instant)."""
+        own = self._own
+        own.measured[::_MEASURED_SIZE], own.measured[_TORQUE::_MEASURED_SIZE] = positions_rad, torques_Nm
+        own.shown[_TORQUE :: rig_cycle.SHOWN] = simulated_Nm
+        own.values[:] = strain_prev, F_next_N
+        if self._figures["ripples"][0] and not self._figures["samples"][0]:
+            self._figures["samples"] = self._plant.step_in_vectors(self._cycle_s).samples
+        self._take_method()
+        code = self.go_on_from(_run(cycle.COMPARE, self._table))
+        if code == MISSED:
+            return None
+        for each in self._estimated:
+            each.tracking.has_advanced()
+        positions_m: list[float] = self._positions_m.tolist()
+        return positions_m
+
+    def begin(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> None:
+        """Go on in these vectors, with the line, until `give`. `fallback`: of its stage."""
+        self._fallback, boundary = fallback, vectors.boundary_places
+        self._figures["samples"] = self._plant.step_in_vectors(self._cycle_s).samples
+        self._figures["by_object"] = 0.0
+        self._spans["shift_Nm"] = self._spans["undecided"] = nan
+        self._own = self._by_object._replace(
+            measured=vectors.measured,
+            asked=vectors.asked,
+            shown=vectors.shown,
+            values=vectors.values,
+            whole=vectors.whole,
+            at=np.array([(boundary["strain_prev"], boundary["F_next_N"], vectors.number, vectors.status)], _AT),
+            published=np.array(vectors.published, np.int64).view(_PUBLISHED),
+        )
+        self._of = []
         self._take_method()
 
     def _take_method(self) -> None:
-        """Update the table after a change of methods or their vectors."""
+        """Update the table after a change of methods or their arrays."""
         tables = [each.tracking.table for each in self._estimated]
-        if not len(self._table) or any(now is not then for now, then in zip(tables, self._of, strict=True)):
+        if not self._of or any(now is not then for now, then in zip(tables, self._of, strict=True)):
             self._of = tables
             self._table = np.concatenate([table_of(self._own), *tables])
             self.piece = CompiledStage(
@@ -351,25 +436,43 @@ class LineInVectors:
         """Run an interpreted stage, then the compiled ones after it."""
         for each in self._estimated:
             each.tracking.has_advanced()
+        place, behind = int(self._figures["at_span"][0]), _SAME_SPAN
+        each, x_m = self._estimated[place], self._positions_m.tolist()
+        strain_before = float(self._spans["strain_before"][place])
         if stage == _UNPAIRED:
             for each in self._estimated:
                 each.tracking.miss()
             behind = _FINISH_WITHOUT
+        elif stage == _OTHERS:
+            self._follow_others(x_m)
+        elif stage == _PLACE:
+            each.tracking.place(x_m[each.span - 1], x_m[each.span], strain_before)
         elif stage == PASSAGE:
             assert self._splice_tracker is not None, "it said so"
-            self._splice_tracker.update(self._positions_m.tolist())
+            self._splice_tracker.update(x_m[self._estimated[0].span - 1 :])
             behind = _FINISH
         else:
-            span = int(self._figures["at_span"][0])
-            strain_before = float(self._spans["strain_before"][span])
-            self._estimated[span].tracking.go_on_from(stage, strain_before)
+            each.tracking.go_on_from(stage, strain_before)
             behind = _NEXT_SPAN
         self._take_method()
         return _run(behind, self._table)
 
+    def _follow_others(self, x_m: Sequence[float]) -> None:
+        """Follow the spans without an estimator; their strains are those around the spans with one."""
+        others, known, values = self._others, [each.span for each in self._estimated], self._own.values
+        assert others is not None, "they were asked for"
+        others.follow(x_m, float(values[0]), float(values[1]), self._cycle_s)
+        for row, span in zip(self._spans, known, strict=True):
+            if span > 1 and span - 1 not in known:
+                creep_ratio = others.creep_ratio(span - 1)
+                strain = interpreted(cycle.equivalent_strain)(others.strain(span - 1), creep_ratio)
+                row["before_strain"], row["before_creep"] = strain, creep_ratio
+            if span + 1 < len(x_m) and span + 1 not in known:
+                row["behind_strain"] = others.strain(span + 1)
+
     def give(self) -> int:
         """Write back to the objects; see `machine.InVectors`."""
-        for each, residual_Nm in zip(self._estimated, self._spans["residual_Nm"].tolist(), strict=True):
+        for each in self._estimated:
             each.tracking.has_advanced()
-            each.residual_Nm = residual_Nm
+        self._own, self._of, self._figures["by_object"] = self._by_object, [], 1.0
         return int(self._figures["status"][0])

@@ -1,17 +1,15 @@
 """Section of a line that shows E of one span: the roller before it, and all after it as one roller.
 
-That one has the mass of all, at their centre of mass, and a motor with the torques of all
-(`hilbench.estimation.web_line.rollers`).
+That one has the mass of all (`hilbench.estimation.web_line.rollers`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
 from hilbench.estimation.web_line.rollers import Rollers, two_rollers
-from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_vectors import LineVectors
@@ -20,9 +18,9 @@ from hilbench.plant.web_line.simulated import YOUNGS_MODULUS
 
 
 class WebSection:
-    """Rollers `span` and those after it of a line, as a line of two rollers (see `SpanModel`, `SimulatedMotor`).
+    """Rollers `span` and those after it of a line, as a line of two rollers (see `SpanModel`).
 
-    `ports` (N,): of the line's motors; `rollers`: measurements of the line's rollers; `along`: spans whose E follows
+    `rollers`: measurements of the line's rollers; `along`: spans whose E follows
     that of the section's, in the ratio of the model. Of a line of two rollers it is the line itself.
     """
 
@@ -30,39 +28,17 @@ class WebSection:
         self,
         model: ModelParameters,
         line: Line,
-        ports: Sequence[MotorPort],
         span: int,
         rollers: Rollers,
         along: Iterable[int] = (),
     ) -> None:
         self._line = line
         self._span = span
-        self._rollers = rollers
-        per_m = model.motor_rad_per_m(span + 1)
-        #: Motors after the span: port, torque at the first of them per torque at each.
-        self._motors = [
-            (port, model.motor_rad_per_m(axis) / per_m) for axis, port in enumerate(ports, 1) if axis > span
-        ]
-        self._per_m = per_m
         self._several = model.span_count > 1
         own_Pa = model.youngs_modulus_Pa(span)
         #: E of the spans that follow, over that of the section, by the model.
         self._ratios = {k: model.youngs_modulus_Pa(k) / own_Pa for k in (span, *along)}
         self.model = two_rollers(model, span, rollers.masses_behind_kg(span + 1))
-
-    def measured_torque_Nm(self, torques_Nm: Sequence[float]) -> float:
-        """Torque of all motors after the span, referred to the first; `torques_Nm` (N,) as measured."""
-        return torques_Nm[self._span] + self._rollers.force_behind_N(self._span + 1) / self._per_m
-
-    @property
-    def centre_m(self) -> float:
-        """Position at the web of the centre of mass of the rollers after the span."""
-        return self._rollers.centre_m(self._span + 1)
-
-    @property
-    def torque_Nm(self) -> float:
-        """Torque of the simulated motors, referred to the first, without resistance of the rollers after it."""
-        return sum(port.torque_Nm * share for port, share in self._motors)
 
     def parameter(self, name: str) -> float:
         """Parameter of the line; E is that of the section's span."""

@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from hilbench.estimation import bank
+from hilbench.estimation.assumptions import SEPARABLE
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line.config import ChangepointConfig
 from hilbench.estimation.web_line.synchronizers import filters, kalman
-from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, Synchronizer, SyncSample
 from hilbench.estimation.web_line.synchronizers.filters import FilterArrays, Filters
-from hilbench.estimation.web_line.synchronizers.plant import SEPARABLE, Plant
 
 
-class ChangepointSynchronizer:
+class ChangepointSynchronizer(Synchronizer):
     """Estimator of E by a bank of Kalman filters."""
 
     def __init__(self, config: ChangepointConfig, plant: Plant) -> None:
         self._config = config
         self._filters = Filters(config, plant, (config.jump_pct, config.drift_pct_per_s, bank.CAPACITY))
-        self._filters.inputs["E_variance_per_s"] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
+        self._filters.inputs["parameter_variance_per_s"] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
         self.arrays: FilterArrays = self._filters.arrays  #: for compiled callers
         self.arrays.stated["cautious"] = 0.01 * config.cautious_pct
         self._has_nuisances = bool(self.arrays.stated["has_nuisances"])
@@ -69,7 +69,7 @@ class ChangepointSynchronizer:
     def nuisances(self) -> tuple[Nuisance, ...]:
         """Nuisance parameters estimated in addition to E."""
         mean, deviation, _ = self.arrays.bank.out
-        return self._filters.nuisances(mean, deviation)
+        return self._filters.estimate(mean, deviation).nuisances
 
     @property
     def separable(self) -> bool:

@@ -15,9 +15,8 @@ import numpy as np
 from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line.config import EkfConfig
 from hilbench.estimation.web_line.synchronizers import filters, kalman
-from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, Synchronizer, SyncSample
 from hilbench.estimation.web_line.synchronizers.filters import Filters
-from hilbench.estimation.web_line.synchronizers.plant import Plant
 
 #: Memory of the innovations' short mean, in samples; its variance for white ones is 1/(2·8).
 _MEMORY = 8.0
@@ -25,7 +24,7 @@ _MEMORY = 8.0
 _FROM = 20.0
 
 
-class EkfSynchronizer:
+class EkfSynchronizer(Synchronizer):
     """Extended Kalman filter; state as in `kalman`."""
 
     def __init__(self, config: EkfConfig, plant: Plant) -> None:
@@ -43,7 +42,7 @@ class EkfSynchronizer:
         if self._filters.take(filters.FILL, sample):
             opened = min(max(self._mean**2 * 2.0 * _MEMORY / _FROM - 1.0, 0.0), 1.0)
             walk = 0.01 * (c.drift_pct_per_sqrt_s + opened * c.jump_pct_per_sqrt_s)
-            self._filters.inputs["E_variance_per_s"] = walk**2
+            self._filters.inputs["parameter_variance_per_s"] = walk**2
             self._filters.act(filters.STEP)
             self._keep_beside(opened)
             normalized = self._work.item(kalman.SIZE + 1) / sqrt(self._work.item(kalman.SIZE + 2))
@@ -67,9 +66,4 @@ class EkfSynchronizer:
         return self._estimate()
 
     def _estimate(self) -> Estimate:
-        z, deviations = self._z, np.sqrt(np.diag(self._p))
-        return Estimate(
-            float(z[kalman.E]) * self._reference_Pa,
-            float(deviations[kalman.E]) * self._reference_Pa,
-            self._filters.nuisances(z, deviations),
-        )
+        return self._filters.estimate(self._z, np.sqrt(np.diag(self._p)))

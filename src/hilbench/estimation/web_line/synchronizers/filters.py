@@ -22,29 +22,22 @@ from hilbench.compiled import (
     record_type,
     table_of,
 )
-from hilbench.estimation import bank, noise_level
+from hilbench.estimation import bank, motion_filter, noise_level
+from hilbench.estimation.assumptions import (
+    POSITION_FLOOR_M,
+    POSITION_NOISE_M,
+    SEPARABLE,
+    SHAKING,
+    TORQUE_FLOOR_NM,
+)
 from hilbench.estimation.bank import Array, BankArrays, Places
 from hilbench.estimation.noise_level import NoiseLevel
-from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line.config import ChangepointConfig, EkfConfig
 from hilbench.estimation.web_line.synchronizers import kalman
-from hilbench.estimation.web_line.synchronizers.base import SyncSample
-from hilbench.estimation.web_line.synchronizers.plant import (
-    SEPARABLE,
-    TORQUE_FLOOR_NM,
-    Plant,
-    nuisances,
-    prior_deviations,
-)
+from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, SyncSample, estimate_of, prior_deviations
 
-#: Encoder noise assumed until it is measured, and its least value, m at the web.
-_POSITION_NOISE_M: Final = 2e-7
-_POSITION_FLOOR_M: Final = 2e-8
 #: Smoothing of the acceleration that the mass error is weighed by.
 _ACCELERATION_S: Final = 0.02
-#: Share of the inertial force that counts as noise: while the roller shakes, torque, load and position are less
-#: simultaneous.
-_SHAKING: Final = 0.1
 #: Time over which tension changes count as noise if a nuisance parameter is separated from E by the tension, s;
 #: smoothing of that change. Vibration of the roller shakes the strain as well, and has no information.
 _QUICK_S, _QUICK_SMOOTHING_S = 0.15, 0.02
@@ -106,13 +99,13 @@ def fill(
     u.force_variance = (
         s.per_torque2 * noise_level.variance(f.torque)
         + s.per_position2 * position_variance
-        + (_SHAKING * s.mass_kg * slope) ** 2
+        + (SHAKING * s.mass_kg * slope) ** 2
     )
     if s.slowly != 0.0:
         web_N_per_s = (u.web_N - s.smoothed_web_N) / (_QUICK_SMOOTHING_S + cycle_s)
         s.smoothed_web_N += web_N_per_s * cycle_s
         u.force_variance += (_QUICK_S * web_N_per_s) ** 2
-    u.position_m = x2_m
+    u.position = x2_m
     u.position_variance = position_variance
     return True
 
@@ -143,7 +136,7 @@ def follow(
             apart = z[kalman.E, i] - out[0, kalman.E]
             variance += shares[i] * (kalman.spread_of_e(p, i) + apart * apart)
     out[2, kalman.E] = sqrt(variance)
-    bank.give_birth(b, kalman.E, kalman.RATE)
+    bank.give_birth(b, kalman.E, motion_filter.RATE)
     return True
 
 
@@ -217,14 +210,15 @@ class Filters:
 
     def __init__(self, config: EkfConfig | ChangepointConfig, plant: Plant, of_bank: tuple[float, float, int]) -> None:
         """`of_bank`: jumps and drifts of `bank.new_bank`, and its capacity."""
-        self._also, self.priors = tuple(config.also), prior_deviations(config.also)
+        self._also, self.priors = config.also, prior_deviations(config.also)
+        self._reference_Pa = plant.youngs_modulus_Pa
         self._hold_pct_per_s = config.hold_growth_pct_per_s
         self._initial_deviation = 0.01 * config.initial_deviation_pct
         places = np.array([*range(kalman.OFFSET), *(np.flatnonzero(self.priors) + kalman.OFFSET)], np.int64)
         stiffness_per_m = plant.youngs_modulus_Pa * plant.section_m2 / plant.span_length_m
         slowly = float(self.priors[:-1].any())
         self.arrays = FilterArrays(
-            np.zeros(1, kalman.INPUTS),
+            kalman.new_inputs(self.priors, plant.mass_kg, plant.force_per_torque_per_m),
             np.array(
                 [
                     (
@@ -235,15 +229,13 @@ class Filters:
                 _CYCLE,
             ),
             NoiseLevel(config.torque_noise_Nm, TORQUE_FLOOR_NM).state,
-            NoiseLevel(_POSITION_NOISE_M, _POSITION_FLOOR_M).state,
+            NoiseLevel(POSITION_NOISE_M, POSITION_FLOOR_M).state,
             bank.new_bank(kalman.SIZE, places, *of_bank),
             np.zeros((kalman.SIZE, kalman.SIZE)),
             np.array([(1.0, plant.youngs_modulus_Pa, 0.0, slowly)], _STATED),
         )
         self._table = table_of(self.arrays)
         self.inputs = self.arrays.inputs[0]
-        self.inputs["priors"], self.inputs["mass_kg"] = self.priors, plant.mass_kg
-        self.inputs["force_per_torque"] = plant.force_per_torque_per_m
         # Before the first sample E is the initial assumption.
         self.arrays.bank.out[:2, kalman.E] = 1.0, self._initial_deviation
         self.started = False
@@ -258,8 +250,7 @@ class Filters:
         """FILL the inputs by a sample, or FOLLOW it; the first one starts the filter in the first column."""
         balance = sample.balance
         if not self.started:
-            z, p, _, *_ = self.arrays.bank
-            kalman.new_filter(z, p, 0, balance.x2_m, self._initial_deviation, self.priors)
+            motion_filter.new_filter(self.arrays.bank, 0, self._initial_deviation, self.priors, balance.x2_m)
             self.arrays.bank.begin()
             self.started = True
         now = (balance.x2_m, balance.force_N, balance.web_per_Pa, balance.velocity_m_s)
@@ -270,9 +261,10 @@ class Filters:
         self.arrays.cycle["has_before"] = 0.0
         b, walk = self.arrays.bank, 0.01 * self._hold_pct_per_s
         b.p[kalman.E, kalman.E] += walk**2 * duration_s
-        kalman.lose_motion(b.p)
+        motion_filter.lose_motion(b, 1.0)
         b.out[1, kalman.E] = sqrt(b.out[1, kalman.E] ** 2 + walk**2 * duration_s)
 
-    def nuisances(self, means: Array, deviations: Array) -> tuple[Nuisance, ...]:
-        """Nuisance parameters estimated in addition to E, by the states' means and deviations (SIZE,)."""
-        return nuisances(self._also, means[kalman.OFFSET :].tolist(), deviations[kalman.OFFSET :].tolist())
+    def estimate(self, means: Array, deviations: Array) -> Estimate:
+        """Estimate by the states' means and deviations (SIZE,)."""
+        states = [kalman.E, *kalman.NUISANCES]
+        return estimate_of(self._also, self._reference_Pa, means[states], deviations[states])

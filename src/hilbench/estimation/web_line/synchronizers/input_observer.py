@@ -14,13 +14,14 @@ because a change of the plant is missing in the whole span at once. δ = w + k·
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import exp, sqrt
 
+from hilbench.estimation.assumptions import TORQUE_FLOOR_NM
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line.config import InputConfig
-from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
-from hilbench.estimation.web_line.synchronizers.plant import TORQUE_FLOOR_NM, Plant, held
+from hilbench.estimation.web_line.synchronizers.base import Estimate, HeldSynchronizer, Plant, SyncSample
 from hilbench.estimation.web_line.synchronizers.regression import FILTER_S, RegressionRows
 
 #: Largest gain on the missing strain: at low speed the model can't follow faster, only the noise would.
@@ -29,19 +30,18 @@ _MOST_GAIN = 30.0
 _LEAST_PA = 1.0
 
 
-class InputSynchronizer:
+class InputSynchronizer(HeldSynchronizer):
     """Estimator of an upstream-strain correction; E is stated as the value with the same effect."""
 
     def __init__(self, config: InputConfig, plant: Plant) -> None:
+        super().__init__(config, plant)
         self._config = config
-        self._plant = plant
         self._rows = RegressionRows(plant)
         self._noise = NoiseLevel(config.torque_noise_Nm, TORQUE_FLOOR_NM)
         self._missing = self._lacking = self._acting = 0.0
         self._innovation = 0.0
         self._simulated: list[float] | None = None  # tension a cycle ago, and after each of the two low passes
-        deviation_Pa = 0.01 * config.initial_deviation_pct * plant.youngs_modulus_Pa
-        self._estimate = Estimate(plant.youngs_modulus_Pa, deviation_Pa, upstream_strain=0.0)
+        self._estimate = replace(self._estimate, upstream_strain=0.0)
 
     def update(self, sample: SyncSample) -> Estimate:
         """Compare the model, and set its next input."""
@@ -65,15 +65,11 @@ class InputSynchronizer:
         self._publish(sample, sqrt(0.5 * share * noise**2 + self._innovation**2))
         return self._estimate
 
-    def rebase(self, change_Pa: float) -> None:
-        """No-op: no past value becomes wrong."""
-
     def hold(self, duration_s: float) -> Estimate:
         """Keep the correction; restart the filters."""
         self._rows.interrupt()
         self._simulated = None
-        self._estimate = held(self._estimate, self._config.hold_growth_pct_per_s, duration_s)
-        return self._estimate
+        return super().hold(duration_s)
 
     def _simulated_N(self, sample: SyncSample) -> float:
         """Simulated tension, delayed and filtered like the measured one (`RegressionRows`)."""

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line.config import LmConfig
-from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
-from hilbench.estimation.web_line.synchronizers.plant import Plant
-from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, Array
+from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, SyncSample
 from hilbench.estimation.web_line.synchronizers.window import FittedToWindow
 
 
@@ -17,25 +16,23 @@ class LmSynchronizer(FittedToWindow):
     def __init__(self, config: LmConfig, plant: Plant) -> None:
         super().__init__(config, plant)
         self._every_cycles = config.every_cycles
-        self._theta = np.array([1.0] + [0.0] * (PARAMETERS - 1))
+        self._theta = np.array([1.0] + [0.0] * (np.count_nonzero(self._active) - 1))
         self._cycle = 0
 
     def update(self, sample: SyncSample) -> Estimate:
         """Take one row; solve when it is due."""
         self._cycle += 1
-        if self._window.update(sample) and self._cycle % self._every_cycles == 0:
+        if self._add(sample) and self._cycle % self._every_cycles == 0:
             self._solve()
         return self._estimate
 
     def _solve(self) -> None:
         from scipy.optimize import least_squares  # slow to import: deferred to its use
 
-        window, rows = self._window, self._window.rows()
-        start = self._theta[window.active]
+        rows = self._window()
 
         def residuals(theta: Array) -> Array:
-            return window.residuals(rows, theta)
+            return self._residuals(rows, theta)
 
-        solution = least_squares(residuals, start, method="lm").x
-        self._theta = window.full(solution)
-        self._take(self._theta, window.deviations(rows, solution))
+        self._theta = least_squares(residuals, self._theta, method="lm").x
+        self._estimate = self._fitted(rows, self._theta)

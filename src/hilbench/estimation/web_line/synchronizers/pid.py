@@ -10,21 +10,22 @@ from __future__ import annotations
 import math
 
 from hilbench.estimation.web_line.config import PidConfig
-from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, Synchronizer, SyncSample
 
 
-class PidSynchronizer:
+class PidSynchronizer(Synchronizer):
     """PID correction dE/dt = Kp·e + Ki·∫e dt + Kd·de/dt with limited integral; E is kept within its plausible range."""
 
-    def __init__(self, config: PidConfig, youngs_modulus_Pa: float) -> None:
+    def __init__(self, config: PidConfig, plant: Plant) -> None:
         self._config = config
-        self._modulus_Pa = youngs_modulus_Pa
+        self._modulus_Pa = plant.youngs_modulus_Pa
         self._error_Nm = 0.0
         self._integral_Nm_s = 0.0
         self._scatter_Nm2 = 0.0
-        self._last = Estimate(youngs_modulus_Pa, math.inf)
+        self._last = Estimate(plant.youngs_modulus_Pa, math.inf)
 
     def update(self, sample: SyncSample) -> Estimate:
+        """Move E by the error of the torque."""
         c, dt = self._config, sample.cycle_s
         raw_Nm = sample.torque_real_Nm - sample.torque_sim_Nm
         error_Nm = self._error_Nm + dt / (c.error_filter_s + dt) * (raw_Nm - self._error_Nm)
@@ -37,17 +38,11 @@ class PidSynchronizer:
             c.kp_Pa_per_Nm_s * error_Nm + c.ki_Pa_per_Nm_s2 * self._integral_Nm_s + c.kd_Pa_per_Nm * slope_Nm_per_s
         )
         self._modulus_Pa = min(c.upper_limit_Pa, max(c.lower_limit_Pa, self._modulus_Pa + rate_Pa_per_s * dt))
-        return self._estimate(sample)
-
-    def rebase(self, change_Pa: float) -> None:
-        """No-op: no past value becomes wrong."""
+        self._last = Estimate(self._modulus_Pa, self._deviation_Pa(sample))
+        return self._last
 
     def hold(self, duration_s: float) -> Estimate:
         """Hold the loop; a lasting error is not known to grow."""
-        return self._last
-
-    def _estimate(self, sample: SyncSample) -> Estimate:
-        self._last = Estimate(self._modulus_Pa, self._deviation_Pa(sample))
         return self._last
 
     def _deviation_Pa(self, sample: SyncSample) -> float:

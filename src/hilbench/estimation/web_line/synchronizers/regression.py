@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import MATRIX, REAL, VECTOR, entry_point
-from hilbench.estimation.web_line.synchronizers.base import SyncSample
-from hilbench.estimation.web_line.synchronizers.plant import Plant
+from hilbench.estimation.web_line.synchronizers.base import Plant, SyncSample
 
 Array = NDArray[np.float64]
 
