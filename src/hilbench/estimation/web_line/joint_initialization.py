@@ -29,6 +29,9 @@ from hilbench.estimation.web_line.synchronizers.base import Plant, SyncSample
 from hilbench.estimation.web_line.synchronizers.regression import FILTER_S, RegressionRows, noise_gain
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 
+#: Deviation of E and of the strain, in %, at which a web counts as known: while it passes, which soon replaces it by a
+#: better known one, and at rest, where a movement takes so long.
+_FOUND_PCT, _FOUND_AT_REST_PCT = 0.3, 0.33
 #: Rows before their residual is used as the noise.
 _SETTLED = 30
 #: Rows from one solution to the next.
@@ -99,7 +102,7 @@ class JointInitialization:
 
     @property
     def passes(self) -> bool:
-        """True if the initial web has begun to leave."""
+        """True if the initial web has begun to leave, which separates its strain from E."""
         return self._webs.shares.item(self._span, self._span) < _STAYS
 
     def deviation_Pa(self, youngs_modulus_Pa: float) -> float:
@@ -109,10 +112,22 @@ class JointInitialization:
             return PRIOR * self._plant.youngs_modulus_Pa
         return hypot(found.deviation_Pa, found.youngs_modulus_Pa - youngs_modulus_Pa)
 
-    def skip(self, cycle_s: float) -> None:
-        """Skip a cycle without usable measurement, after the web's move."""
-        self._rows.interrupt()
-        self._filter(cycle_s)
+    def look(self, sample: SyncSample | None, cycle_s: float, strain: float) -> InitialWeb | None:
+        """Take the balance of a cycle, after the web's move; None: unusable. `strain`: by the guess.
+
+        Returns the estimate once it is good enough for a method, else None.
+        """
+        if sample is None:
+            self._rows.interrupt()
+            self._filter(cycle_s)
+            return None
+        found = self.update(sample)
+        if found is None or not self._webs.enters_known(self._span):
+            return None
+        share = 0.01 * (_FOUND_PCT if self.passes else _FOUND_AT_REST_PCT)
+        strain += found.strain_error
+        unsure = found.deviation_Pa > share * found.youngs_modulus_Pa or found.strain_deviation > share * strain
+        return None if unsure else found
 
     def update(self, sample: SyncSample) -> InitialWeb | None:
         """Take the balance of a cycle, after the web's move; None until there is an estimate."""

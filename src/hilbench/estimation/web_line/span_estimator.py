@@ -27,9 +27,8 @@ from hilbench.estimation.web_line.config import (
     PidConfig,
     SynchronizerConfig,
 )
-from hilbench.estimation.web_line.initial_search import InitialSearch
 from hilbench.estimation.web_line.initial_strains import SLOW_M_S, InitialStrains, initial_strains
-from hilbench.estimation.web_line.joint_initialization import InitialWeb
+from hilbench.estimation.web_line.joint_initialization import InitialWeb, JointInitialization
 from hilbench.estimation.web_line.measured_span import MeasuredSpan
 from hilbench.estimation.web_line.probing_step import new_probing_step
 from hilbench.estimation.web_line.span_model import SpanModel
@@ -219,7 +218,7 @@ class SpanEstimator:
             self._errors.set_cycle_time(cycle_s)
         self.use(self._method)
         self._forget(cycle.SUSPEND)
-        if self._search.is_on:  # The search's samples were of another cycle time.
+        if self._search is not None:  # The search's samples were of another cycle time.
             self._find_web()
 
     def release(self, strain_uncertainty: float = 0.0, webs: InitialStrains | None = None, place: int = 0) -> None:
@@ -234,7 +233,8 @@ class SpanEstimator:
         if self._errors is not None:
             self._errors.release()
         t["strain_uncertainty"] = strain_uncertainty
-        self._search = InitialSearch(webs or initial_strains(self._model), place, strain_uncertainty)
+        self._webs, self._place, self._unknown_share = webs or initial_strains(self._model), place, strain_uncertainty
+        self._search: JointInitialization | None = None
         if strain_uncertainty > 0.0 and not isinstance(self._method, PidConfig | InputConfig):
             self._find_web()
 
@@ -242,7 +242,7 @@ class SpanEstimator:
         """Start the joint initialization of E and strain."""
         plant = Plant.of(self._balance, self.estimate.youngs_modulus_Pa)
         friction_share = 0.01 * self.config.model_errors.friction_pct
-        self._search.begin(plant, self._strain_prev, friction_share)
+        self._search = JointInitialization(plant, self._webs, self._place, self._strain_prev, friction_share)
         self._state_looked_for()
         self._t["bank"] = 0.0  # until the method starts from the result
 
@@ -435,7 +435,7 @@ class SpanEstimator:
                 self._look_at_found_web(strain_prev)
                 t["used"] = 0.0
             self.skip()
-            if self._search.is_on:
+            if self._search is not None:
                 self._state_looked_for()
         elif t["bank"]:
             self._nuisances = None
@@ -460,9 +460,10 @@ class SpanEstimator:
 
     def _update(self, strain_prev: float) -> None:
         """Update a method other than the bank, or one that starts, with this cycle."""
-        if self._search.is_on:  # the web of unknown strain has left the span
-            self._believe_found(self._search.end())
-        self._search.know()
+        if self._search is not None:  # the web of unknown strain has left the span
+            found, self._search = self._search.found, None
+            self._believe_found(found)
+        self._webs.know(self._place)
         t, method = self._t, self._synchronizer
         if t["rebased_Pa"]:
             method.rebase(float(t["rebased_Pa"]))
@@ -472,16 +473,18 @@ class SpanEstimator:
 
     def _state_looked_for(self) -> None:
         """State E as assumed, with the deviation of the search, until the web is known."""
+        assert self._search is not None, "it is looked for"
         looked_for_Pa = self._search.deviation_Pa(float(self._t["modulus_Pa"]))
         self._state(replace(self.estimate, deviation_Pa=max(self._own_deviation_Pa, looked_for_Pa)))
 
     def _look_at_found_web(self, strain_prev: float) -> None:
         """Search E and strain of a web that was first seen running; the method starts once both, and the strain of the
         web that enters, are known."""
-        t, search = self._t, self._search
-        enters = search.move(self._balance.sample.velocity_m_s, self._cycle_s)
+        t, search, webs = self._t, self._search, self._webs
+        webs.move(self._place, self._balance.sample.velocity_m_s, self._cycle_s)
+        enters = self._unknown_share * webs.entering(self._place)
         t["strain_uncertainty"] = max(float(t["strain_uncertainty"]), enters)
-        if not search.is_on:
+        if search is None:
             return
         sample = self._sample(strain_prev, float(t["used_N"])) if t["used"] else None
         strain = float(self._balance.web.strain[0])
@@ -491,11 +494,11 @@ class SpanEstimator:
         passes = search.passes
         self._balance.web.set_state({"strain1": strain + found.strain_error})
         t["strain_uncertainty"], t["found"] = 0.0, 1.0
-        search.end()
+        self._search = None
         self._believe_found(found)
         if not passes:
             self._know_at_rest(found)
-        search.know()
+        webs.know(self._place)
 
     def _believe_found(self, found: InitialWeb | None) -> None:
         """Continue the method from the search's result, if there is one."""
