@@ -318,7 +318,7 @@ def best(
         return None
     gains = np.sum([of_move[name] for name in chosen], axis=0)
     reasons = [
-        f"{q.text}: chi-square {g:.3g}, {'told' if g > q.least else 'not told'} from {q.least:g} on"
+        f"{q.text}: chi-square {g:.3g}, {'identified' if g > q.least else 'not identified'} (limit {q.least:g})"
         for q, g in zip(questions, gains, strict=True)
         if g > q.least or q.weight > 1.0
     ]
