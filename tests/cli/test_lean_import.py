@@ -27,12 +27,39 @@ def test_a_bench_starts_without_the_libraries_of_recordings_and_of_its_check() -
     assert ended.returncode == 0, ended.stderr
 
 
-def test_what_attaches_to_a_bus_loads_no_library_of_recordings() -> None:
+@pytest.mark.parametrize(
+    "module",
+    [
+        "canopen_tools.attach",
+        "conformance.description",
+        "conformance.examine",
+        "devices.serve",
+        "doctor.drift",
+        "gateway.session",
+        "monitor.changes",
+    ],
+)
+def test_what_attaches_to_a_bus_loads_no_library_of_recordings(module: str) -> None:
+    program = f"""if True:
+        import sys
+        import hilbench.apps.{module}
+        early = {{"pandas", "asammdf"}} & set(sys.modules)
+        assert not early, early
+    """
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_the_help_of_all_commands_loads_nothing_of_a_bus() -> None:
     program = """if True:
         import sys
-        import hilbench.apps.canopen_tools.attach, hilbench.apps.conformance.examine
-        import hilbench.apps.devices.serve, hilbench.apps.gateway.session, hilbench.apps.monitor.changes
-        early = {"pandas", "asammdf"} & set(sys.modules)
+        from hilbench.apps.cli.main import main
+        sys.argv = ["hilbench", "--help"]
+        try:
+            main()
+        except SystemExit as ended:
+            assert not ended.code, ended.code
+        early = {"can", "canopen", "pandas"} & set(sys.modules)
         assert not early, early
     """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)

@@ -9,7 +9,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
-import canopen
+from canopen import ObjectDictionary
+from canopen import SdoAbortedError as SdoAbortedError
+from canopen import SdoCommunicationError as SdoCommunicationError
 from hilbench.can.python_can import can
 from hilbench.canopen.eds import with_mapped_pdos
 from hilbench.canopen.identifiers import FUNCTION_CODE, SDO_ANSWER
@@ -34,7 +36,7 @@ class Refusal:
     code: int
 
     def __str__(self) -> str:
-        return f"abort {self.code:08X}h ({canopen.SdoAbortedError.CODES.get(self.code, 'unknown code')})"
+        return f"abort {self.code:08X}h ({SdoAbortedError.CODES.get(self.code, 'unknown code')})"
 
 
 def no_answer(error: Exception, timeout_s: float) -> str:
@@ -127,9 +129,9 @@ class SdoClient:
         """
         try:
             return self.upload(node_id, index, sub)
-        except canopen.SdoAbortedError as error:
+        except SdoAbortedError as error:
             return Refusal(error.code)
-        except canopen.SdoCommunicationError:
+        except SdoCommunicationError:
             return None
 
     def upload(self, node_id: int, index: int, sub: int, width: int | None = None) -> bytes:
@@ -172,7 +174,7 @@ class SdoClient:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _add(self, node_id: int, od: canopen.ObjectDictionary) -> None:
+    def _add(self, node_id: int, od: ObjectDictionary) -> None:
         node = self._network.add_node(node_id, with_mapped_pdos(od))
         node.sdo.RESPONSE_TIMEOUT = self._timeout_s
         node.sdo.MAX_RETRIES = 1  # one try: canopen counts down to zero before it gives up
@@ -181,7 +183,7 @@ class SdoClient:
     @contextmanager
     def _transfer(self, node_id: int) -> Iterator[Any]:
         if node_id not in self._locks:
-            self._add(node_id, canopen.ObjectDictionary())
+            self._add(node_id, ObjectDictionary())
         try:
             with self._locks[node_id]:
                 yield self._network[node_id].sdo

@@ -8,7 +8,6 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from canopen import SdoAbortedError, SdoCommunicationError
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS
 from hilbench.bench.operator.operator_objects import INDEX
 from hilbench.bench.prediction.create import foreseeable
@@ -16,6 +15,7 @@ from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.canopen.data_types import DataType
 from hilbench.canopen.identifiers import SYNC
+from hilbench.canopen.sdo_client import SdoAbortedError, SdoCommunicationError
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording
 from hilbench.results.recover import replay_frames

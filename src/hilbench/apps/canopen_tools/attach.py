@@ -7,7 +7,6 @@ from contextlib import AbstractContextManager, ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import canopen
 from hilbench.apps.canopen_tools.eds_match import find_eds
 from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import SDO_TIMEOUT_S
@@ -20,6 +19,7 @@ from hilbench.canopen.sdo_client import SdoClient
 from hilbench.errors import BenchFaultError, UnusableInputError
 
 if TYPE_CHECKING:  # the models take their time to import; a command without a config does not need them
+    from canopen import ObjectDictionary
     from hilbench.runs.config import ExperimentConfig
 
 #: Node id of a bench of which there is no config.
@@ -52,13 +52,13 @@ class BusSession(ExitStack):
 
     def device(
         self, node: str, eds: Path, timeout_s: float = SDO_TIMEOUT_S, dcf: Path | None = None
-    ) -> tuple[Master, int, str, canopen.ObjectDictionary]:
+    ) -> tuple[Master, int, str, ObjectDictionary]:
         """A master that knows a node, with id, name and object dictionary of it; raises as `node_on_bus`."""
         return self.known(*node_on_bus(node, self.bench, self.bus, eds, dcf), timeout_s)
 
     def known(
-        self, node_id: int, name: str, od: canopen.ObjectDictionary, timeout_s: float = SDO_TIMEOUT_S
-    ) -> tuple[Master, int, str, canopen.ObjectDictionary]:
+        self, node_id: int, name: str, od: ObjectDictionary, timeout_s: float = SDO_TIMEOUT_S
+    ) -> tuple[Master, int, str, ObjectDictionary]:
         """The same for a node whose description is known."""
         master = Master(open_python_can(self.bus), timeout_s)
         self.callback(master.close)
@@ -80,7 +80,7 @@ def only_master(
 
 def node_on_bus(
     node: str, config: ExperimentConfig | None, bus: BusAddress, eds: Path, dcf: Path | None = None
-) -> tuple[int, str, canopen.ObjectDictionary]:
+) -> tuple[int, str, ObjectDictionary]:
     """Node id, name for messages and object dictionary; a config names its nodes and their EDS files.
 
     `dcf` describes the device where there is no EDS file of it.
@@ -99,7 +99,7 @@ def node_on_bus(
 
 def node_and_eds(
     node: str, config: ExperimentConfig | None, bus: BusAddress, eds: Path
-) -> tuple[int, str, canopen.ObjectDictionary | None]:
+) -> tuple[int, str, ObjectDictionary | None]:
     """The same, with no object dictionary where no EDS file is known for the device."""
     parts = () if config is None else config.parts
     for part in parts:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import canopen
 from hilbench.canopen import eds
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.errors import UnusableInputError
+
+if TYPE_CHECKING:
+    from canopen import ObjectDictionary
 
 _SUFFIXES = (".eds", ".dcf")
 _VENDOR, _PRODUCT, _REVISION = 0, 1, 2
@@ -32,7 +35,7 @@ class EdsFile:
         return not self.identity[_REVISION] or revision in self.identity[_REVISION]
 
 
-def identity(od: canopen.ObjectDictionary) -> tuple[frozenset[int], ...]:
+def identity(od: ObjectDictionary) -> tuple[frozenset[int], ...]:
     """Vendor id, product code and revision: for each, what [DeviceInfo] and 1018h give (0 means none)."""
     device = od.device_information
     header = (device.vendor_number, device.product_number, device.revision_number)
@@ -41,7 +44,7 @@ def identity(od: canopen.ObjectDictionary) -> tuple[frozenset[int], ...]:
     )
 
 
-def default(od: canopen.ObjectDictionary, index: int, sub: int) -> int | None:
+def default(od: ObjectDictionary, index: int, sub: int) -> int | None:
     """The default value that a file gives an object; None: none, or no number."""
     try:
         value = eds.variable(od, index, sub).default

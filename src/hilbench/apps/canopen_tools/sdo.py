@@ -163,8 +163,7 @@ class _UnknownObject:
         return f"{self.index:04X}h:{self.sub}"
 
     def read(self) -> bytes:
-        from canopen import SdoAbortedError, SdoCommunicationError
-        from hilbench.canopen.sdo_client import Refusal, no_answer
+        from hilbench.canopen.sdo_client import Refusal, SdoAbortedError, SdoCommunicationError, no_answer
 
         try:
             return self.reader.upload(self.node_id, self.index, self.sub)

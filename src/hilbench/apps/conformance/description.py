@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
-
-from canopen.objectdictionary import ODVariable
+from typing import TYPE_CHECKING, Final
 
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import all_variables, load_eds, object_flags
 from hilbench.cia402.axis import axes, object_of
+
+if TYPE_CHECKING:
+    from canopen.objectdictionary import ODVariable
 
 #: ObjFlags (CiA 306): refuse write on download, refuse read on scan.
 REFUSE_WRITE, REFUSE_READ = 0x1, 0x2

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from math import pi
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from canopen import ObjectDictionary
 from hilbench.apps.devices.application import CYCLE_S, SAMPLE_S, DrivesApplication
 from hilbench.apps.devices.behaviour import Behaviour, RefusedWrite
 from hilbench.apps.devices.node import SERIAL_NUMBER, SimulatedNode
@@ -34,6 +33,9 @@ from hilbench.plant.servo_axis.parameters import (
     ShaftParameters,
 )
 from hilbench.plant.servo_axis.shaft import ServoRig
+
+if TYPE_CHECKING:
+    from canopen import ObjectDictionary
 
 #: Name of the device as it says it itself (CiA 301).
 _DEVICE_NAME = 0x1008

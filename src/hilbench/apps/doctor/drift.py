@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isclose
-from typing import Any, Final, Literal
-
-from canopen.objectdictionary import ObjectDictionary
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from hilbench.apps.canopen_tools.eds_match import EdsFile
 from hilbench.canopen import eds
@@ -25,6 +23,9 @@ from hilbench.exchange.node_data import UNITS, EdsObject, Key, StandData, drives
 from hilbench.runs.config import ExperimentConfig
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, parse_object
+
+if TYPE_CHECKING:
+    from canopen import ObjectDictionary
 
 Kind = Literal["config", "eds", "missing", "identity", "units", "parameter", "pdo", "reset"]
 NodeAnswers = Mapping[str, Mapping[Key, bytes | None]]

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from importlib.metadata import version
 from typing import Final
 
-import canopen
 from hilbench.apps.gateway import requests
 from hilbench.apps.gateway.requests import GatewayError, Request, RequestError, form
 from hilbench.can.open import BusAddress, open_python_can
 from hilbench.canopen.identifiers import LAST_NODE, NmtCommand
 from hilbench.canopen.lss_master import LssMaster
 from hilbench.canopen.master import Identity, Master
+from hilbench.canopen.sdo_client import SdoAbortedError, SdoCommunicationError
 from hilbench.errors import BenchFaultError, BusError
 
 _SDO_TIMEOUT_S: Final = 1.0
@@ -104,10 +104,10 @@ class Session:
             raise RequestError(GatewayError.UNSUPPORTED_NET, f"net {request.net}, expected {NET}")
         try:
             return command(request)
-        except canopen.SdoAbortedError as error:
-            words = canopen.SdoAbortedError.CODES.get(error.code, "unknown code")
+        except SdoAbortedError as error:
+            words = SdoAbortedError.CODES.get(error.code, "unknown code")
             raise RequestError(f"0x{error.code:08X}", words) from error
-        except canopen.SdoCommunicationError as error:
+        except SdoCommunicationError as error:
             raise RequestError(_TIMED_OUT, "SDO protocol timed out") from error
         except BusError as error:
             raise RequestError(GatewayError.STATE, str(error)) from error

@@ -12,7 +12,6 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Final, TypeVar
 
-from canopen import SdoAbortedError, SdoCommunicationError
 from hilbench.apps.library.labels import user_name
 from hilbench.apps.library.live_run import LiveRun
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
@@ -23,7 +22,7 @@ from hilbench.can.frame import Frame
 from hilbench.canopen.data_types import DataType
 from hilbench.canopen.identifiers import SYNC
 from hilbench.canopen.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
-from hilbench.canopen.sdo_client import SdoClient
+from hilbench.canopen.sdo_client import SdoAbortedError, SdoClient, SdoCommunicationError
 from hilbench.errors import BusError, HilbenchError
 from hilbench.prediction.outlook import Outlook
 from hilbench.results.journal import append_to_journal
