@@ -167,18 +167,10 @@ def _parts_of_value(name: str, value: Any, attributes: tuple[str, ...]) -> Itera
         yield f"{name} {_text_of(value)}"
 
 
-def _types_of_fields(record: type) -> str:
-    """Text of the types of a record of arrays (`compiled.arrays_in`), "" of another."""
-    hints = get_type_hints(record, include_extras=True).values() if hasattr(record, "_fields") else ()
-    texts = (
-        repr(hint.__metadata__)
-        if hasattr(hint, "__metadata__")
-        else _types_of_fields(hint)
-        if isinstance(hint, type)
-        else ""
-        for hint in hints
-    )
-    return "".join(texts)
+def _fields_of(record: Any) -> str:
+    """Names and types of the fields of a record of arrays (`compiled.arrays_in`), and of records in it."""
+    hints = get_type_hints(record, include_extras=True) if hasattr(record, "_fields") else {}
+    return repr({name: getattr(hint, "__metadata__", None) or _fields_of(hint) for name, hint in hints.items()})
 
 
 def _text_of(value: Any) -> str:
@@ -187,7 +179,7 @@ def _text_of(value: Any) -> str:
     if isinstance(value, np.dtype):
         return str(value.descr)
     if isinstance(value, type):  # a record of arguments
-        return f"{value.__module__}.{value.__qualname__} {getattr(value, '_fields', ())}{_types_of_fields(value)}"
+        return f"{value.__module__}.{value.__qualname__} {_fields_of(value)}"
     if isinstance(value, types.ExternalFunction):
         return f"{value} {value.sig}"
     if value is None or isinstance(value, bool | int | float | str | bytes | BuiltinFunctionType | types.Type):

@@ -195,6 +195,34 @@ def test_a_changed_callee_or_constant_of_another_file_is_compiled_anew(
     assert ran() == [changed[0], "0"]
 
 
+_RECORDS = """
+from typing import NamedTuple
+from hilbench.compiled import Reals, TABLE, arrays_in, entry_point
+
+class Motion(NamedTuple):
+    position_m: Reals
+    velocity_m_s: Reals
+
+class Axis(NamedTuple):
+    motion: Motion
+
+@entry_point(TABLE)
+def act(table):
+    return arrays_in(table, Axis).motion.position_m[0]
+"""
+
+
+def test_fields_in_another_order_in_a_record_of_a_record_are_compiled_anew(tmp_path: Path) -> None:
+    program = "import act; from hilbench.code_cache import made_of; print(made_of(act.act.py_func))"
+    fields = ["    position_m: Reals\n", "    velocity_m_s: Reals\n"]
+    numbers = set()
+    for text in (_RECORDS, _RECORDS.replace("".join(fields), "".join(reversed(fields)))):
+        (tmp_path / "act.py").write_text(text)
+        command = [sys.executable, "-B", "-c", program]
+        numbers.add(subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout)
+    assert len(numbers) == 2
+
+
 def _descendants(pid: int) -> set[int]:
     """Processes below a process, as /proc has them."""
     found: set[int] = set()
