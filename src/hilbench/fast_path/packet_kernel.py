@@ -252,6 +252,17 @@ def _send(port: Port, first: int, last: int) -> int:
     return sent
 
 
+@merged
+def _take_answers(port: Port, bitrate: int) -> int:
+    """Take the answers that are awaited, and what they tell; or NOTHING, OTHER."""
+    outcome = _receive(port)
+    if outcome == CONTINUE and not _accept(port, bitrate):
+        outcome = OTHER
+    if outcome == CONTINUE:
+        kernel.observe(port.image, 1e9 / bitrate)
+    return outcome
+
+
 #: ask: send set points and SYNC of the bench; OTHER, and nothing done, where a value does not fit, it is late, or a
 #: packet has come before, which is in the buffer then.
 #: collect: take all answers to them.
@@ -274,14 +285,7 @@ def ask(bitrate: int, table: Table) -> int:
 
 @entry_point(COUNT, TABLE)
 def collect(bitrate: int, table: Table) -> int:
-    port = arrays_in(table, Port)
-    outcome = _receive(port)
-    if outcome != CONTINUE:
-        return outcome
-    if not _accept(port, bitrate):
-        return OTHER
-    kernel.observe(port.image, 1e9 / bitrate)
-    return CONTINUE
+    return _take_answers(arrays_in(table, Port), bitrate)
 
 
 @entry_point(COUNT, TABLE)
@@ -314,11 +318,7 @@ def answer(bitrate: int, table: Table) -> int:
 @entry_point(COUNT, TABLE)
 def hear(bitrate: int, table: Table) -> int:
     port = arrays_in(table, Port)
-    outcome = _receive(port)
-    if outcome != CONTINUE:
-        return outcome
-    if not _accept(port, bitrate):
-        return OTHER
-    kernel.observe(port.image, 1e9 / bitrate)
-    _await(port, 0, port.state.asked)
-    return CONTINUE
+    outcome = _take_answers(port, bitrate)
+    if outcome == CONTINUE:
+        _await(port, 0, port.state.asked)
+    return outcome

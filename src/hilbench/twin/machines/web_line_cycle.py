@@ -459,9 +459,14 @@ class LineCycle:
 
     def _follow_others(self, x_m: Sequence[float]) -> None:
         """Follow the spans without an estimator; their strains are those around the spans with one."""
-        others, known, values = self._others, [each.span for each in self._estimated], self._own.values
+        others, known, values, at = (
+            self._others,
+            [each.span for each in self._estimated],
+            self._own.values,
+            self._own.at[0],
+        )
         assert others is not None, "they were asked for"
-        others.follow(x_m, float(values[0]), float(values[1]), self._cycle_s)
+        others.follow(x_m, float(values[at["strain_prev"]]), float(values[at["F_next_N"]]), self._cycle_s)
         for row, span in zip(self._spans, known, strict=True):
             if span > 1 and span - 1 not in known:
                 creep_ratio = others.creep_ratio(span - 1)
