@@ -248,9 +248,10 @@ def _follow(drive: Row, whole: Whole) -> None:
 
 
 @compiled
-def _encode(targets: Rows, sent: Rows, set_points: Real, whole: Whole, real: Real, single: Single) -> bool:
+def encode(image: Image) -> bool:
     """`exchange.nodes.Nodes.encode`: raw set points into their slots; False where one does not fit, or another value
     that is to be sent does not."""
+    targets, set_points, whole = image.targets, image.set_points, image.whole
     for k in range(len(targets)):
         target = targets[k]
         if target.source < 0:
@@ -263,14 +264,7 @@ def _encode(targets: Rows, sent: Rows, set_points: Real, whole: Whole, real: Rea
         if not -target.most <= number <= target.most:
             return False
         whole[target.slot] = int(number)
-    return _all_fit(sent, whole, real, single)
-
-
-@merged
-def encode(image: Image) -> bool:
-    """Encode the set points; False where a value does not fit."""
-    single = viewed(image.scratch, _SINGLE)
-    return _encode(image.targets, image.sent, image.set_points, image.whole, image.real, single)
+    return _all_fit(image.sent, whole, image.real, viewed(image.scratch, _SINGLE))
 
 
 @merged
