@@ -142,16 +142,14 @@ def _measured(
 
 
 def _table(found: list[Commissioned]) -> Table:
-    from rich.table import Table
-
+    from hilbench.apps.cli.tables import table
     from hilbench.diagnosis.commissioning import MEASURED
 
-    shown = Table(title_justify="left", caption="with what the model has already", caption_justify="left")
-    for column in ("", "axis", "value", "± 95 %", "unit", "tied with"):
-        shown.add_column(column, justify="right" if column in ("value", "± 95 %") else "left", no_wrap=column == "")
+    rows = []
     for one in sorted(found, key=lambda one: (one.axis or 0, list(MEASURED).index(one.effect))):
         name = MEASURED[one.effect] + ("" if one.order is None else f", {one.order:.4g} per motor turn")
         place = str(one.axis or "") if one.section is None else f"span {one.section}"
         half = f"{_NORMAL_95 * one.deviation:.2g}"
-        shown.add_row(name, place, f"{one.value:.4g}", half, one.unit, ", ".join(one.tied_with))
-    return shown
+        rows.append((name, place, f"{one.value:.4g}", half, one.unit, ", ".join(one.tied_with)))
+    columns, caption = ("", "axis", ">value", ">± 95 %", "unit", "tied with"), "with what the model has already"
+    return table(columns, rows, ("",), framed=True, caption=caption, caption_justify="left")

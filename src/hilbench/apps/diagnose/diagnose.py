@@ -14,6 +14,7 @@ from hilbench.apps.cli.columns import report_section, report_unknown
 from hilbench.apps.cli.model_option import any_model_from, config_from
 from hilbench.apps.cli.options import print_json
 from hilbench.apps.cli.progress import ProgressDisplay
+from hilbench.apps.cli.tables import table
 from hilbench.apps.diagnose.page import write_diagnosis_page
 from hilbench.apps.history.entries import keep_diagnosis
 from hilbench.diagnosis.bench_gap import LiveGap, live_gap, run_bench
@@ -376,12 +377,9 @@ def _show(console: Console, found: Diagnosis, against: Path | None) -> None:
             if effect.tied_with:
                 others = ", ".join(effect.tied_with)
                 console.print(f"{effect.effect} is tied with {others}; distinguished by: {effect.told_apart_by}")
-    gaps = Table(title="torque residual, rms on held-out data, N·m", title_justify="left")
-    for column in ("signal", "before", "after", "noise floor"):
-        gaps.add_column(column, justify="left" if column == "signal" else "right")
-    for gap in found.gaps:
-        gaps.add_row(gap.signal, f"{gap.before:.4g}", f"{gap.after:.4g}", f"{gap.noise_floor:.4g}")
-    console.print(gaps)
+    gaps = [(gap.signal, *(f"{rms:.4g}" for rms in (gap.before, gap.after, gap.noise_floor))) for gap in found.gaps]
+    title = "torque residual, rms on held-out data, N·m"
+    console.print(table(("signal", ">before", ">after", ">noise floor"), gaps, framed=True, title=title))
     _show_where(console, found)
     for blind in found.unobservable:
         place = blind.place.text
@@ -397,31 +395,22 @@ def _show(console: Console, found: Diagnosis, against: Path | None) -> None:
 
 
 def _effects_table(found: Diagnosis, *, changes: bool) -> Table:
-    shown = Table(title_justify="left")
-    value_of = "change" if changes else "value"
-    for column in ("effect", "place", "parameter", value_of, "95 %", "unit", *(("before",) if changes else ())):
-        shown.add_column(
-            column,
-            justify="right" if column in (value_of, "95 %", "before") else "left",
-            no_wrap=column in ("effect", "95 %"),
-        )
+    columns = ("effect", "place", "parameter", ">change" if changes else ">value", ">95 %", "unit")
+    rows = []
     for effect in found.effects:
         for k, (name, value) in enumerate(effect.parameters.items()):
             first = (effect.effect, effect.place.where) if k == 0 else ("", "")
             shown_text, low, high = (f"{each:.{value.digits}g}" for each in (value.value, *value.ci95))
             was = ("" if value.before is None else f"{value.before:.5g}",) if changes else ()
-            shown.add_row(*first, name, shown_text, f"{low} to {high}", value.unit, *was)
-    return shown
+            rows.append((*first, name, shown_text, f"{low} to {high}", value.unit, *was))
+    return table((*columns, *((">before",) if changes else ())), rows, ("effect", ">95 %"), framed=True)
 
 
 def _live_table(live: list[LiveGap]) -> Table:
-    shown = Table(title="the twin on the bench", title_justify="left")
-    shown.add_column("", no_wrap=True)
-    for name in ("original model", "extended model")[: len(live)]:
-        shown.add_column(name, justify="right")
-    for each in zip(*(gap.figures for gap in live), strict=True):
-        shown.add_row(each[0].text, *(f"{figure.value:.4g}" for figure in each))
-    return shown
+    figures = zip(*(gap.figures for gap in live), strict=True)
+    rows = [(each[0].text, *(f"{figure.value:.4g}" for figure in each)) for each in figures]
+    columns = ("", ">original model", ">extended model")[: 1 + len(live)]
+    return table(columns, rows, ("",), framed=True, title="the twin on the bench")
 
 
 def _show_where(console: Console, found: Diagnosis) -> None:
@@ -431,9 +420,6 @@ def _show_where(console: Console, found: Diagnosis) -> None:
         for one in found.laws:
             console.print(f"a law that explains {100.0 * one.share:.0f} % of it: {one.text}", soft_wrap=True)
     elif found.where:
-        shown = Table(title="where the original model disagreed", title_justify="left")
-        for column in ("signal", "condition", "share of gap"):
-            shown.add_column(column)
-        for row in found.where[:5]:
-            shown.add_row(row.signal, row.condition, f"{100 * row.share_of_gap:.0f} %")
-        console.print(shown)
+        rows = [(row.signal, row.condition, f"{100 * row.share_of_gap:.0f} %") for row in found.where[:5]]
+        title = "where the original model disagreed"
+        console.print(table(("signal", "condition", "share of gap"), rows, framed=True, title=title))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
@@ -96,20 +96,15 @@ def _limit(text: str) -> tuple[str, float]:
 
 def _show(found: dict[str, list[QuantityTrend]], path: Path, problems: Sequence[str], html: Path | None) -> None:
     from rich.console import Console
-    from rich.table import Table
 
-    from hilbench.apps.history.quantities import figures, sentences
+    from hilbench.apps.cli.tables import table
+    from hilbench.apps.history.quantities import COLUMNS, figures, sentences
 
     console = Console(highlight=False)
     console.width = max(console.width, _WIDTH)
     for name, quantities in found.items():
-        table = Table(title=f"{name}  ({path})", title_justify="left", box=None, padding=(0, 2, 0, 0))
-        for column in ("quantity", ">runs", ">days", ">now", "95 %", ">per day", "95 %", "unit", "trend"):
-            justify: Literal["left", "right"] = "right" if column.startswith(">") else "left"
-            table.add_column(column.removeprefix(">"), justify=justify, no_wrap=True)
-        for one in quantities:
-            table.add_row(one.name, str(len(one.rows)), str(one.days), *figures(one))
-        console.print(table)
+        columns = [column.lower() for column in COLUMNS]
+        console.print(table(columns, map(figures, quantities), columns, title=f"{name}  ({path})"))
         for one in quantities:
             for line in sentences(one):
                 console.print(f"{one.name}: {line}", soft_wrap=True, markup=False)

@@ -90,15 +90,18 @@ def date(time_s: float) -> str:
     return moment(time_s)[:10]
 
 
+COLUMNS: Final = ("Quantity", ">Runs", ">Days", ">Now", "95 %", ">Per day", "95 %", "Unit", "Trend")
+
+
 def figures(one: QuantityTrend) -> list[str]:
-    """A table's text: level and its 95 %, rate per day and its 95 %, unit, trend."""
-    found = one.trend
+    """A table's text, a cell for each of `COLUMNS`."""
+    found, counted = one.trend, (one.name, str(len(one.rows)), str(one.days))
     if found is None:
         last = one.rows[-1].quantity
-        return [f"{last.value:.5g}", f"± {_NORMAL_95 * last.sd:.2g}", "", "", one.unit, "one run or day"]
+        return [*counted, f"{last.value:.5g}", f"± {_NORMAL_95 * last.sd:.2g}", "", "", one.unit, "one run or day"]
     level, rate = (0.5 * (high - low) for low, high in (found.level_ci95, found.rate_ci95))
     now, per_day = (f"{found.level:.5g}", f"± {level:.2g}"), (f"{found.rate_per_d:+.2g}", f"± {rate:.2g}")
-    return [*now, *per_day, one.unit, found.direction or "none seen"]
+    return [*counted, *now, *per_day, one.unit, found.direction or "none seen"]
 
 
 def sentences(one: QuantityTrend) -> list[str]:

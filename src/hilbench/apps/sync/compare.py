@@ -14,6 +14,7 @@ from rich.table import Table
 from hilbench.apps.cli.columns import report, report_section, report_unknown
 from hilbench.apps.cli.model_option import machine_of, model_from, web_line_of
 from hilbench.apps.cli.options import print_json
+from hilbench.apps.cli.tables import table
 from hilbench.apps.sweep.sweep import Row, Sweep
 from hilbench.apps.sync.page import COLUMNS, ESTIMATES, rows, write_comparison
 from hilbench.diagnosis.synchronization import (
@@ -123,13 +124,8 @@ def _show(comparison: Comparison, page: Path | None, as_json: bool) -> None:
 
 def _table(comparison: Comparison) -> Table:
     title = f"torque noise {comparison.noise_Nm:.3g} N·m"
-    shown = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
-    for column in COLUMNS:  # units below: the figures stay whole in 80 columns
-        heading = column.lstrip(">").replace(", ", "\n")
-        shown.add_column(heading, justify="right" if column.startswith(">") else "left", no_wrap=True)
-    for row in rows(comparison):
-        shown.add_row(*row)
-    return shown
+    columns = [column.replace(", ", "\n") for column in COLUMNS]  # units below: the figures stay whole in 80 columns
+    return table(columns, rows(comparison), columns, title=title, padding=(0, 1, 0, 0))
 
 
 def as_data(comparison: Comparison) -> dict[str, Any]:

@@ -135,8 +135,8 @@ def _asked(text: str) -> tuple[str, float]:
 
 def _print(answer: Answer, texts: Sequence[str], when: str) -> None:
     from rich.console import Console
-    from rich.table import Table
 
+    from hilbench.apps.cli.tables import table
     from hilbench.apps.what_if.page import levels_of, rows_of, text_chart
 
     outlook, console = answer.outlook, Console(highlight=False)
@@ -144,16 +144,13 @@ def _print(answer: Answer, texts: Sequence[str], when: str) -> None:
     console.print(f"what if, from {when} on: {', '.join(texts)}", soft_wrap=True)
     futures = outlook.rows.shape[1]
     console.print(f"{seconds:.3g} s in {futures} futures; bands hold 90 % of what would be measured", soft_wrap=True)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    table.add_column("quantity", no_wrap=True)
-    for heading in ("largest", "of 90 %", "at the end", "limits", "probability"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    columns, rows = ("quantity", ">largest", ">of 90 %", ">at the end", ">limits", ">probability"), []
     for watched, largest, end, probability in rows_of(outlook):
         limits = " / ".join(f"{level:g}" for level in levels_of(watched))
         between = f"{largest[1]:.4g} … {largest[2]:.4g}"
         share = f"{100 * probability:.0f} %" if limits else ""
-        table.add_row(f"{watched.name}, {watched.unit}", f"{largest[0]:.4g}", between, f"{end[0]:.4g}", limits, share)
-    console.print(table)
+        rows.append((f"{watched.name}, {watched.unit}", f"{largest[0]:.4g}", between, f"{end[0]:.4g}", limits, share))
+    console.print(table(columns, rows, columns))
     for place, watched in enumerate(outlook.watched):
         if watched.unit in ("N", "N·m"):
             console.print(f"\n{watched.name}, {watched.unit}")
