@@ -15,7 +15,7 @@ from typing import Any, Self
 from hilbench import strict_yaml
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.block import Strict
-from hilbench.errors import UnusableInputError
+from hilbench.files import usable
 from hilbench.topology.config import BenchConfig
 
 _GIT_TIMEOUT_S = 5.0
@@ -141,8 +141,6 @@ def _eds_files(config: BenchConfig) -> Iterable[EdsFile]:
     for part in config.parts:
         nodes.setdefault(part.node.eds, []).append(part.name)
     for file, names in nodes.items():
-        try:
+        with usable(file, "read", "an EDS file"):
             content = file.read_bytes()
-        except OSError as error:
-            raise UnusableInputError(file, f"cannot be read ({error.strerror}), expected an EDS file") from error
         yield EdsFile(file=str(file), sha256=hashlib.sha256(content).hexdigest(), nodes=names)

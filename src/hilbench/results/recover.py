@@ -35,6 +35,7 @@ from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.exchange.master_node import answer_id
 from hilbench.exchange.nodes import Nodes
+from hilbench.files import usable
 from hilbench.machine_kinds import machine_part
 from hilbench.results.journal import read_journal
 from hilbench.results.junit import write_junit
@@ -153,13 +154,11 @@ def _finish_recording(folder: RunFolder, config: ExperimentConfig) -> _Ended:
 
 
 def _require_ended(trace: Path) -> None:
-    try:
-        with open(trace, "rb") as file:
+    with usable(trace, "read", "a trace"), open(trace, "rb") as file:
+        try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise UnusableInputError(trace, "still being written, expected the trace of a run that has ended") from None
-    except OSError as error:
-        raise UnusableInputError(trace, f"cannot be read ({error.strerror}), expected a trace") from error
+        except BlockingIOError:
+            raise UnusableInputError(trace, "still being written, expected the trace of a run that has ended") from None
 
 
 def _result(config: ExperimentConfig, folder: RunFolder, ended: _Ended, changes: list[Change]) -> Result:
