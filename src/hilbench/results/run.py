@@ -354,15 +354,10 @@ class Ending:
 
 
 def _warned(notice: Notice) -> Warned:
-    again = notice.count > 1
-    return Warned(
-        time_s=notice.time_s,
-        source=notice.source,
-        text=notice.text,
-        count=notice.count,
-        last_time_s=notice.last_time_s if again else None,
-        last_text=notice.last_text if again else None,
+    again: dict[str, Any] = (
+        {"last_time_s": notice.last_time_s, "last_text": notice.last_text} if notice.count > 1 else {}
     )
+    return Warned(time_s=notice.time_s, source=notice.source, text=notice.text, count=notice.count, **again)
 
 
 def measure_timing(bench: Bench, recorded: int) -> Timing:
