@@ -33,7 +33,7 @@ def routes(base: Path, *, replays: bool = False) -> list[BaseRoute]:
             return PlainTextResponse(f"No runs: {error}", 404)
         replay: Link | None = (lambda run: f"/replay/{quote(run.path)}") if replays else None
         program = Program("library/runs.js", page_data(runs, lambda run: f"/runs/{quote(run.path)}/report", replay))
-        policies = {"Content-Security-Policy": _LIST_POLICY + policy(program.scripts())}
+        policies = {"Content-Security-Policy": _LIST_POLICY + policy(scripts(program.file))}
         return HTMLResponse(runs_text(base, runs, runs, program), headers=policies)
 
     def report_of(name: str) -> Response:
