@@ -7,8 +7,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from math import inf, nan, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -138,40 +138,27 @@ def drive(
         elif action is Action.RESET:
             manual.reset()
         elif action is not Action.STATUS:
-            _set_in_motion(by_hand, _Wanted(action, value, speed, relative, duration))
+            _until_done(manual, _motion(by_hand, action, value, speed, relative, inf if duration is None else duration))
         _print(by_hand, as_json=json)
 
 
-@dataclass(frozen=True)
-class _Wanted:
-    """A motion as it was asked for."""
+def _quantity(action: Action, value: str | None, own_unit: float) -> float:
+    """VALUE in SI; `own_unit`: what one unit of the drive is. Raises UnusableInputError."""
+    known = {**_UNITS[action], "units": own_unit}
+    match = _QUANTITY.match(value or "")
+    if match is None or match[2] not in known:
+        found = "missing" if value is None else f"'{value}'"
+        expected = f'expected a number with {", ".join(known)}, e.g. "{_EXAMPLES[action]}"'
+        raise UnusableInputError("VALUE", f"{found}, {expected}")
+    return float(match[1]) * known[match[2]]
 
-    action: Action
-    value: str | None
-    speed_rad_s: float
-    relative: bool
-    duration_s: float | None
 
-    def quantity(self, own_unit: float) -> float:
-        """VALUE in SI; `own_unit`: what one unit of the drive is. Raises UnusableInputError."""
-        known = {**_UNITS[self.action], "units": own_unit}
-        match = _QUANTITY.match(self.value or "")
-        if match is None or match[2] not in known:
-            found = "missing" if self.value is None else f"'{self.value}'"
-            raise UnusableInputError(
-                "VALUE", f'{found}, expected a number with {", ".join(known)}, e.g. "{_EXAMPLES[self.action]}"'
-            )
-        return float(match[1]) * known[match[2]]
-
-    @property
-    def method(self) -> int | None:
-        """VALUE as a homing method. Raises UnusableInputError."""
-        if self.value is None:
-            return None
-        try:
-            return int(self.value, 0)
-        except ValueError:
-            raise UnusableInputError("VALUE", f"'{self.value}', expected a homing method (6098h), e.g. 35") from None
+def _method(value: str | None) -> int | None:
+    """VALUE as a homing method. Raises UnusableInputError."""
+    try:
+        return None if value is None else int(value, 0)
+    except ValueError:
+        raise UnusableInputError("VALUE", f"'{value}', expected a homing method (6098h), e.g. 35") from None
 
 
 @contextmanager
@@ -278,40 +265,35 @@ def _allowed(bench: ExperimentConfig | None) -> Limits:
         return Limits()
     limits = bench.safety.limits
     speed = limits.speed_rad_s.trip if bench.machine.position_unit == "rad" else None
-    torque = limits.torque_Nm.trip
-    return Limits(
-        speed_rad_s=inf if speed is None else speed,
-        torque_Nm=inf if torque is None else torque,
-        speed_by="safety: limits: speed_rad_s",
-        torque_by="safety: limits: torque_Nm",
-    )
+    speed_rad_s, torque_Nm = (inf if each is None else each for each in (speed, limits.torque_Nm.trip))
+    names = (f"safety: limits: {name}" for name in ("speed_rad_s", "torque_Nm"))
+    return Limits((-inf, inf), speed_rad_s, torque_Nm, *names)
 
 
-def _set_in_motion(by_hand: SetUpDrive, wanted: _Wanted) -> None:
-    """Until it is done; the drive is without power afterwards, by a quick stop if something ended it early."""
-    from hilbench.apps.canopen_tools.attach import MASTER_ID
+def _motion(
+    by_hand: SetUpDrive, action: Action, value: str | None, speed_rad_s: float, relative: bool, duration_s: float
+) -> Callable[[], object]:
+    """What was asked for, of a drive that can do it. Raises UnusableInputError."""
     from hilbench.cia402.objects import OperationMode
 
     modes = {Action.MOVE: OperationMode.PROFILE_POSITION, Action.HOME: OperationMode.HOMING}
     modes[Action.TORQUE] = OperationMode.TORQUE
-    units = by_hand.needs(modes.get(wanted.action, OperationMode.PROFILE_VELOCITY))
-    duration_s = inf if wanted.duration_s is None else wanted.duration_s
-    motion: Callable[[], object]
-    if wanted.action is Action.MOVE:
-        target = wanted.quantity(units.position_rad)
-        motion = lambda: by_hand.move(target, wanted.speed_rad_s, relative=wanted.relative)  # noqa: E731
-    elif wanted.action is Action.HOME:
-        method = wanted.method
-        motion = lambda: by_hand.home(method)  # noqa: E731
-    elif wanted.action is Action.VELOCITY:
-        velocity = wanted.quantity(units.velocity_rad_s)
-        motion = lambda: by_hand.turn(velocity, duration_s)  # noqa: E731
-    elif wanted.action is Action.TORQUE:
-        torque = wanted.quantity(units.torque_Nm)
-        motion = lambda: by_hand.push(torque, duration_s, wanted.speed_rad_s)  # noqa: E731
-    else:
-        motion = lambda: _jog(by_hand.drive, wanted.speed_rad_s)  # noqa: E731
-    manual = by_hand.drive
+    units = by_hand.needs(modes.get(action, OperationMode.PROFILE_VELOCITY))
+    match action:
+        case Action.MOVE:
+            return partial(by_hand.move, _quantity(action, value, units.position_rad), speed_rad_s, relative=relative)
+        case Action.HOME:
+            return partial(by_hand.home, _method(value))
+        case Action.VELOCITY:
+            return partial(by_hand.turn, _quantity(action, value, units.velocity_rad_s), duration_s)
+        case Action.TORQUE:
+            return partial(by_hand.push, _quantity(action, value, units.torque_Nm), duration_s, speed_rad_s)
+    return partial(_jog, by_hand.drive, speed_rad_s)
+
+
+def _until_done(manual: ManualDrive, motion: Callable[[], object]) -> None:
+    """The drive is without power afterwards, by a quick stop if something ended it early."""
+    from hilbench.apps.canopen_tools.attach import MASTER_ID
 
     # The drive watches from the first heartbeat on: from before the first motion until the power stage is off.
     with manual.watching(MASTER_ID, _HEARTBEAT_TIME_OUT_MS):
