@@ -128,15 +128,43 @@ def drive(
     """
     if value is not None and action not in (*_UNITS, Action.HOME):
         raise UnusableInputError("VALUE", f"'{value}' with {action}, expected none")
+    from hilbench.apps.canopen_tools.attach import MASTER_ID, BusSession, drive_on_node, node_on_bus
+    from hilbench.can.frame import Frame
+    from hilbench.canopen.identifiers import COB_ID, HEARTBEAT, NMT, NmtState
+    from hilbench.cia402.axis import axes
+    from hilbench.cia402.manual import ManualDrive
+    from hilbench.cia402.set_up import SetUpDrive
+    from hilbench.processes import end_requests
+
     given = _given_units(units or [])
-    with _drive(node, axis, config, bus, eds, timeout, action, given, force=force) as by_hand:
-        manual = by_hand.drive
-        if action is Action.ENABLE:
-            manual.enable()
-        elif action is Action.DISABLE:
-            manual.disable()
-        elif action is Action.RESET:
-            manual.reset()
+    with BusSession(config, bus) as on:
+        bench = on.bench
+        node, of_node = drive_on_node(node, bench, axis)
+        if action is not Action.STATUS:
+            on.be_only_master(f"drive by hand, node {node}", force=force)
+        node_id, name, od = node_on_bus(node, bench, on.bus, eds)
+        there = axes(od.__contains__)
+        if of_node > 1 and of_node not in there:
+            known = ", ".join(map(str, there)) or "none"
+            raise UnusableInputError(
+                "--axis", f"{of_node}, expected one that the EDS file of node {node_id} has: {known}"
+            )
+        link = on.link()
+        link.set_filters([(NMT, COB_ID)])  # nothing is received here: NMT commands are for the devices
+        master = on.known(node_id, name, od)[0]
+        of_config = {} if bench is None else bench.units_of(node_id, of_node)
+        of_drive, without = _units(master, node_id, od, {**of_config, **given}, name, of_node)
+
+        def heartbeat() -> None:
+            # Not as operational: that is a master whose SYNC will go on, for which simulated drives hold their time.
+            link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.PRE_OPERATIONAL.heartbeat)])
+
+        file = eds.name if bench is None and eds.is_file() else "its EDS file"
+        alive = _Alive(heartbeat, on.enter_context(end_requests()))
+        manual = ManualDrive(master, node_id, name, of_drive, timeout, alive, of_node)
+        by_hand = SetUpDrive(manual, file, of_drive, _allowed(bench), without_units=without, time_out_s=timeout)
+        if action in (Action.ENABLE, Action.DISABLE, Action.RESET):
+            getattr(manual, action)()
         elif action is not Action.STATUS:
             _until_done(manual, _motion(by_hand, action, value, speed, relative, inf if duration is None else duration))
         _print(by_hand, as_json=json)
@@ -159,55 +187,6 @@ def _method(value: str | None) -> int | None:
         return None if value is None else int(value, 0)
     except ValueError:
         raise UnusableInputError("VALUE", f"'{value}', expected a homing method (6098h), e.g. 35") from None
-
-
-@contextmanager
-def _drive(
-    node: str,
-    axis: int | None,
-    config: Path | None,
-    bus: str | None,
-    eds: Path,
-    time_out_s: float,
-    action: Action,
-    given: Mapping[str, float],
-    *,
-    force: bool,
-) -> Iterator[SetUpDrive]:
-    from hilbench.apps.canopen_tools.attach import MASTER_ID, BusSession, drive_on_node, node_on_bus
-    from hilbench.can.frame import Frame
-    from hilbench.canopen.identifiers import COB_ID, HEARTBEAT, NMT, NmtState
-    from hilbench.cia402.axis import axes
-    from hilbench.cia402.manual import ManualDrive
-    from hilbench.cia402.set_up import SetUpDrive
-    from hilbench.processes import end_requests
-
-    with BusSession(config, bus) as on:
-        bench = on.bench
-        node, of_node = drive_on_node(node, bench, axis)
-        if action is not Action.STATUS:
-            on.be_only_master(f"drive by hand, node {node}", force=force)
-        node_id, name, od = node_on_bus(node, bench, on.bus, eds)
-        there = axes(od.__contains__)
-        if of_node > 1 and of_node not in there:
-            known = ", ".join(map(str, there)) or "none"
-            raise UnusableInputError(
-                "--axis", f"{of_node}, expected one that the EDS file of node {node_id} has: {known}"
-            )
-        link = on.link()
-        link.set_filters([(NMT, COB_ID)])  # nothing is received here: NMT commands are for the devices
-        master = on.known(node_id, name, od)[0]
-        of_config = {} if bench is None else bench.units_of(node_id, of_node)
-        units, without = _units(master, node_id, od, {**of_config, **given}, name, of_node)
-
-        def heartbeat() -> None:
-            # Not as operational: that is a master whose SYNC will go on, for which simulated drives hold their time.
-            link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.PRE_OPERATIONAL.heartbeat)])
-
-        file = eds.name if bench is None and eds.is_file() else "its EDS file"
-        alive = _Alive(heartbeat, on.enter_context(end_requests()))
-        manual = ManualDrive(master, node_id, name, units, time_out_s, alive, of_node)
-        yield SetUpDrive(manual, file, units, _allowed(bench), without_units=without, time_out_s=time_out_s)
 
 
 class _Alive:

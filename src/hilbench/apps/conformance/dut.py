@@ -9,9 +9,6 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from canopen.sdo.client import SdoClient
-
-from canopen import ObjectDictionary
 from hilbench.apps.conformance.actions import Key
 from hilbench.apps.conformance.description import Description, Pdo
 from hilbench.apps.conformance.record import CaseEndedError, NotAllowedError, NotApplicableError, Step
@@ -32,7 +29,7 @@ from hilbench.canopen.identifiers import (
     NmtState,
     node_of,
 )
-from hilbench.canopen.sdo_client import Answer, Refusal, SdoAbortedError, SdoCommunicationError
+from hilbench.canopen.sdo_client import Answer, Refusal, SdoAbortedError, SdoCommunicationError, Transfers
 
 #: Heartbeat period while a case looks at NMT states, and how long it waits for one.
 _HEARTBEAT_MS: Final = 100
@@ -40,7 +37,6 @@ _HEARTBEAT_S: Final = 0.35
 _AFTER_BOOT_S: Final = 0.05
 _EMPTY: Final = "nothing"
 _SDO_BYTES: Final = 8
-_ABORTED: Final = 0x80
 #: Command specifiers of requests that name an object, and whose answers do: download and upload.
 _NAMES_OBJECT: Final = (1, 2)
 _SYNC_PAUSE_S: Final = 0.02
@@ -60,26 +56,6 @@ class Patience:
 
     answer_s: float = 1.0
     boot_s: float = 10.0
-
-
-class _Transfers(SdoClient):
-    """canopen's transfers, by a function that answers a request."""
-
-    def __init__(self, exchange: Callable[[bytes], bytes | None]) -> None:
-        super().__init__(0, 0, ObjectDictionary())
-        self._exchange = exchange
-
-    def request_response(self, sdo_request: bytes) -> bytes:
-        """Raises SdoAbortedError, and SdoCommunicationError without an answer of the length of one."""
-        answer = self._exchange(bytes(sdo_request))
-        if answer is None or len(answer) != _SDO_BYTES:
-            raise SdoCommunicationError("no answer")
-        if answer[0] == _ABORTED:
-            raise SdoAbortedError(int.from_bytes(answer[4:], "little"))
-        return answer
-
-    def abort(self, abort_code: int = 0) -> None:
-        """No abort is sent."""
 
 
 class DeviceUnderTest:
@@ -268,10 +244,10 @@ class DeviceUnderTest:
         """A value, without an expectation: for what a case needs to know."""
         return self._transferred(lambda client: client.open(self.eds.own(index), sub, buffering=0).read())
 
-    def _transferred(self, transfer: Callable[[_Transfers], bytes | None]) -> Answer:
+    def _transferred(self, transfer: Callable[[Transfers], bytes | None]) -> Answer:
         kept, self._sent = self._sent, []
         try:
-            return transfer(_Transfers(self.exchange)) or b""
+            return transfer(Transfers(self.exchange)) or b""
         except SdoAbortedError as error:
             return Refusal(error.code)
         except SdoCommunicationError:

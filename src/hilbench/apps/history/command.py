@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from hilbench.apps.cli.options import JsonOption, print_json
+from hilbench.apps.cli.options import JsonOption, key_and_number, print_json
 from hilbench.errors import UnusableInputError
 
 if TYPE_CHECKING:
@@ -58,7 +57,8 @@ def history(
     bench = None if config is None else load(config)[0]
     path = file or (history_beside(runs) if bench is None else history_of(bench, runs))
     stand = stand or (None if bench is None else bench.stand_name)
-    limits = dict(map(_limit, limit or ()))
+    expected = "QUANTITY=VALUE such as shaft.inertia_kg_m2=0.02"
+    limits = dict(key_and_number("--limit", text, expected) for text in limit or ())
     problems = entries.rebuild(path, stand, runs)[1] if rebuild else []
     known = History(path).stands()
     if stand is not None and stand not in known:
@@ -81,17 +81,6 @@ def history(
         print_json({"file": str(path), "stands": stands, "notes": problems})
         return
     _show(found, path, problems, html)
-
-
-def _limit(text: str) -> tuple[str, float]:
-    name, equals, value = text.partition("=")
-    try:
-        number = float(value)
-    except ValueError:
-        number = float("nan")
-    if not equals or not name.strip() or not isfinite(number):
-        raise UnusableInputError("--limit", f"{text!r}, expected QUANTITY=VALUE such as shaft.inertia_kg_m2=0.02")
-    return name.strip(), number
 
 
 def _show(found: dict[str, list[QuantityTrend]], path: Path, problems: Sequence[str], html: Path | None) -> None:

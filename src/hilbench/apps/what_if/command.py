@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from hilbench.apps.cli.config_file import load_config
-from hilbench.apps.cli.options import BusOption, JsonOption, print_json
+from hilbench.apps.cli.options import BusOption, JsonOption, key_and_number, print_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,7 +62,8 @@ def what_if(
     from hilbench.results.what_if import Question
     from hilbench.results.what_if import what_if as answer_to
 
-    question = Question(dict(map(_asked, asked)), over, horizon, futures, at)
+    wanted = dict(key_and_number("--set", text, "PATH=NUMBER such as line_speed_m_s=5") for text in asked)
+    question = Question(wanted, over, horizon, futures, at)
     name, config, recording = _running(run, bus, at) if run.is_file() else _run(run, bus, at)
     answer = answer_to(config, recording, question, str(run))
     texts = lines(answer)
@@ -119,18 +120,6 @@ def lines(answer: Answer) -> list[str]:
         lasts = f" within {move.end_s - move.start_s:.3g} s" if move.end_s > move.start_s else ""
         texts.append(f"{move.path} {answer.before[move.path]:.6g} → {move.to:.6g}{lasts}")
     return texts
-
-
-def _asked(text: str) -> tuple[str, float]:
-    from hilbench.errors import UnusableInputError
-
-    path, equals, value = text.partition("=")
-    try:
-        if equals:
-            return path.strip(), float(value)
-    except ValueError:
-        pass
-    raise UnusableInputError("--set", f"'{text}', expected PATH=NUMBER such as line_speed_m_s=5")
 
 
 def _print(answer: Answer, texts: Sequence[str], when: str) -> None:
