@@ -243,7 +243,8 @@ class CycleSplitter:
 
     def __init__(self, nodes: Nodes) -> None:
         master_id = nodes.config.master.node_id
-        self._own = {cob_id for cob_id, _ in _own_frames(nodes)} | {HEARTBEAT + master_id, answer_id(master_id)}
+        self._own = {HEARTBEAT + master_id, answer_id(master_id), *(pdo.cob_id for pdo in nodes.io.boundary)}
+        self._own |= {cob_id for drive in nodes.drives for cob_id in drive.rpdo_cob_ids}
         self._first = nodes.axes[0].pdos.rpdo.cob_id
         self.current = CycleFrames()
 
@@ -292,12 +293,6 @@ def _complete(cycles: Iterator[CycleFrames], nodes: Nodes) -> Iterator[CycleFram
         before = cycle
     if before is not None and needed <= {frame.can_id for frame in before.received}:
         yield before
-
-
-def _own_frames(nodes: Nodes) -> Iterator[tuple[int, str]]:
-    for drive in nodes.drives:
-        yield from ((cob_id, drive.settings.name) for cob_id in drive.rpdo_cob_ids)
-    yield from ((pdo.cob_id, nodes.twin_name) for pdo in nodes.io.boundary)
 
 
 def take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:

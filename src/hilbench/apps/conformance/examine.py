@@ -25,7 +25,7 @@ from hilbench.apps.conformance.record import (
 )
 from hilbench.canopen.identifiers import INVALID, MAPPING, NmtCommand
 from hilbench.canopen.object_store import PRESENT_STATE
-from hilbench.canopen.sdo_client import Answer, Refusal
+from hilbench.canopen.sdo_client import Refusal
 from hilbench.cia402.axis import of_first_axis
 from hilbench.cia402.state_machine import POWERED
 from hilbench.errors import BenchFaultError, UnusableInputError
@@ -75,7 +75,8 @@ def restore(dut: DeviceUnderTest, values: Values) -> list[Lost]:
     for key in sorted(set(parameters), key=lambda key: (key == _SYNC_PERIOD, key)):
         answer = dut.try_to_write(*key, values[key])
         if isinstance(answer, Refusal) and answer.code == PRESENT_STATE and key == (0x1014, 0):
-            answer = _through_invalid(dut, key, values[key])
+            dut.try_to_write(*key, (dut.value(*key) | INVALID).to_bytes(4, "little"))
+            dut.try_to_write(*key, values[key])
     lost = [
         Lost(str(dut.eds.entry(index, sub)), values[index, sub].hex(" "), answer_text(found))
         for index, sub in sorted(differing)
@@ -84,11 +85,6 @@ def restore(dut: DeviceUnderTest, values: Values) -> list[Lost]:
     dut.touched.clear()
     dut.was_reset = False
     return lost
-
-
-def _through_invalid(dut: DeviceUnderTest, key: tuple[int, int], data: bytes) -> Answer:
-    dut.try_to_write(*key, (dut.value(*key) | INVALID).to_bytes(4, "little"))
-    return dut.try_to_write(*key, data)
 
 
 def _pdo_of(index: int) -> int | None:

@@ -166,7 +166,9 @@ def found_on_the_bench(
     found = Found(diagnosis, config, [before])
     found.proposed = proposed(diagnosis, read_section(recording), recording)
     steps: list[Step] = []
-    while until_clear and found.proposed is not None and len(found.rounds) < _MOST_ROUNDS and _is_tied(diagnosis):
+    while until_clear and found.proposed is not None and len(found.rounds) < _MOST_ROUNDS:
+        if not any(effect.tied_with for effect in diagnosis.effects):
+            break
         steps += found.proposed.steps
         found.rounds.append(f"{found.proposed.moves} ({'; '.join(found.proposed.reasons)})")
         observer, announce = progress.of_run(f"run the bench with {found.proposed.moves}", 0.0)
@@ -194,10 +196,6 @@ def found_on_the_bench(
         return found
     found.live.append(after)
     return found
-
-
-def _is_tied(diagnosis: Diagnosis) -> bool:
-    return any(effect.tied_with for effect in diagnosis.effects)
 
 
 def _write(found: Found, source: Path, out: Path) -> _Files:

@@ -114,7 +114,8 @@ def _residuals(found: Diagnosis) -> Picture:
 
 
 def _held_out(found: Diagnosis) -> list[Mark]:
-    return [Mark(float(found.t_s[a]), float(found.t_s[b]), "") for a, b in _stretches(found.held_out)]
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], found.held_out.astype(int), [0]])))
+    return [Mark(float(found.t_s[a]), float(found.t_s[b - 1]), "") for a, b in edges.reshape(-1, 2)]
 
 
 def _profiles(found: Diagnosis) -> Picture:
@@ -138,8 +139,3 @@ def _profiles(found: Diagnosis) -> Picture:
         "model, orange with the effects that were found."
     )
     return Picture("profiles", title, caption, drawing=Drawing(draw, 2.3 * rows, "profiles", title))
-
-
-def _stretches(held_out: Any) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], held_out.astype(int), [0]])))
-    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]

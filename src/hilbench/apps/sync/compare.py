@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from hilbench.apps.cli.columns import report, report_section, report_unknown
 from hilbench.apps.cli.model_option import machine_of, model_from, web_line_of
@@ -116,16 +115,12 @@ def _show(comparison: Comparison, page: Path | None, as_json: bool) -> None:
         print_json(as_data(comparison))
         return
     console = Console(highlight=False)
-    console.print(_table(comparison))
+    columns = [column.replace(", ", "\n") for column in COLUMNS]  # units below: the figures stay whole in 80 columns
+    title = f"torque noise {comparison.noise_Nm:.3g} N·m"
+    console.print(table(columns, rows(comparison), columns, title=title, padding=(0, 1, 0, 0)))
     if page is not None:
         console.print(f"page: {page}", soft_wrap=True)
         console.print(f"estimates: {page.with_name(ESTIMATES)}", soft_wrap=True)
-
-
-def _table(comparison: Comparison) -> Table:
-    title = f"torque noise {comparison.noise_Nm:.3g} N·m"
-    columns = [column.replace(", ", "\n") for column in COLUMNS]  # units below: the figures stay whole in 80 columns
-    return table(columns, rows(comparison), columns, title=title, padding=(0, 1, 0, 0))
 
 
 def as_data(comparison: Comparison) -> dict[str, Any]:
