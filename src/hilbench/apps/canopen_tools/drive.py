@@ -22,6 +22,7 @@ from hilbench.apps.cli.options import (
     ForceOption,
     JsonOption,
     NodeArgument,
+    key_and_number,
     print_json,
 )
 from hilbench.errors import UnusableInputError
@@ -155,12 +156,19 @@ def drive(
         of_config = {} if bench is None else bench.units_of(node_id, of_node)
         of_drive, without = _units(master, node_id, od, {**of_config, **given}, name, of_node)
 
-        def heartbeat() -> None:
-            # Not as operational: that is a master whose SYNC will go on, for which simulated drives hold their time.
-            link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.PRE_OPERATIONAL.heartbeat)])
+        end_if_requested, next_s = on.enter_context(end_requests()), 0.0
+
+        def alive() -> None:
+            """Send this program's heartbeat when it is due. Raises KeyboardInterrupt once it is asked to end."""
+            nonlocal next_s
+            end_if_requested()
+            if time.monotonic() >= next_s:
+                next_s = time.monotonic() + _HEARTBEAT_S
+                # Not as operational: that is a master whose SYNC will go on, for which simulated drives hold their
+                # time.
+                link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.PRE_OPERATIONAL.heartbeat)])
 
         file = eds.name if bench is None and eds.is_file() else "its EDS file"
-        alive = _Alive(heartbeat, on.enter_context(end_requests()))
         manual = ManualDrive(master, node_id, name, of_drive, timeout, alive, of_node)
         by_hand = SetUpDrive(manual, file, of_drive, _allowed(bench), without_units=without, time_out_s=timeout)
         if action in (Action.ENABLE, Action.DISABLE, Action.RESET):
@@ -189,22 +197,6 @@ def _method(value: str | None) -> int | None:
         raise UnusableInputError("VALUE", f"'{value}', expected a homing method (6098h), e.g. 35") from None
 
 
-class _Alive:
-    """Sends this program's heartbeat when it is due; called often, and never within an SDO transfer."""
-
-    def __init__(self, heartbeat: Callable[[], None], end_if_requested: Callable[[], None]) -> None:
-        self._heartbeat = heartbeat
-        self._end_if_requested = end_if_requested
-        self._next_s = 0.0
-
-    def __call__(self) -> None:
-        """Send it, if it is due. Raises KeyboardInterrupt once the program is asked to end, a single time."""
-        self._end_if_requested()
-        if time.monotonic() >= self._next_s:
-            self._next_s = time.monotonic() + _HEARTBEAT_S
-            self._heartbeat()
-
-
 def _units(
     master: Master, node_id: int, od: ObjectDictionary, given: Mapping[str, float], name: str, axis: int
 ) -> tuple[DriveUnits | None, str]:
@@ -223,16 +215,11 @@ def _units(
 
 def _given_units(texts: Sequence[str]) -> dict[str, float]:
     """Of --units. Raises UnusableInputError."""
-    found = {}
-    for text in texts:
-        key, _, number = text.partition("=")
-        try:
-            found[key] = float(number)
-        except ValueError:
-            found[key] = nan
-        if key not in ("position_rad", "velocity_rad_s", "rated_torque_Nm") or not 0.0 < found[key] < inf:
-            expected = "position_rad, velocity_rad_s or rated_torque_Nm, and a number above 0: velocity_rad_s=0.10472"
-            raise UnusableInputError("--units", f"'{text}', expected {expected}")
+    expected = "position_rad, velocity_rad_s or rated_torque_Nm, and a number above 0: velocity_rad_s=0.10472"
+    found = dict(key_and_number("--units", text, expected) for text in texts)
+    for key, number in found.items():
+        if key not in ("position_rad", "velocity_rad_s", "rated_torque_Nm") or number <= 0.0:
+            raise UnusableInputError("--units", f"'{key}={number:g}', expected {expected}")
     return found
 
 
