@@ -7,7 +7,6 @@ import os
 import platform
 import subprocess
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
@@ -75,19 +74,6 @@ def overridden(document: strict_yaml.Document) -> list[Override]:
         for location, place in document.places.items()
         if place.startswith("--")
     ]
-
-
-class AskedCommit:
-    """`commit_of` a file, asked while other things are done: a run starts sooner."""
-
-    def __init__(self, path: Path) -> None:
-        self._threads = ThreadPoolExecutor(1, "git")
-        self._said = self._threads.submit(commit_of, path)
-
-    def answer(self) -> Commit | None:
-        """Waits for it."""
-        self._threads.shutdown()
-        return self._said.result()
 
 
 def commit_of(path: Path) -> Commit | None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +14,14 @@ from hilbench.apps.cli.model_option import any_model_from, config_from
 from hilbench.apps.cli.options import print_json
 from hilbench.apps.cli.progress import ProgressDisplay
 from hilbench.apps.cli.tables import table
-from hilbench.apps.diagnose.page import write_diagnosis_page
+from hilbench.apps.diagnose.page import Found, write_diagnosis_page
 from hilbench.apps.history.entries import keep_diagnosis
 from hilbench.diagnosis.bench_gap import LiveGap, live_gap, run_bench
 from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable, diagnose
 from hilbench.diagnosis.emulated import emulation_beside, emulation_of
 from hilbench.diagnosis.machines import AnyEmulation
-from hilbench.diagnosis.next_experiment import NextExperiment, Step, proposed, write_steps
+from hilbench.diagnosis.next_experiment import Step, proposed, write_steps
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
 from hilbench.plant.model_file import write_model
@@ -35,31 +34,6 @@ from hilbench.topology.config import BenchConfig
 _WIDTH = 100
 #: Runs of the bench after the first, at most, until nothing is tied.
 _MOST_ROUNDS = 3
-_SENTENCES = {
-    "complete": "nothing is missing that these data can show",
-    "named": "the effects below close the gap on data that no fit has seen",
-    "unknown": "something is missing that no effect of the vocabulary explains",
-}
-_CHANGES = {
-    "complete": "nothing changed that these data can show",
-    "named": "the effects below changed, by the values below",
-    "unknown": "something changed, or is missing, that no effect of the vocabulary explains",
-}
-
-
-@dataclass
-class Found:
-    """A diagnosis, and what the bench showed of it."""
-
-    diagnosis: Diagnosis
-    config: Path | None  #: bench config with the model in it, where there is one
-    live: list[LiveGap] = field(default_factory=list)  #: with the original and with the extended model
-    not_compared: str = ""  #: why the second run is not among them
-    fault: BenchFaultError | None = None  #: of the second run
-    against: Path | None = None  #: the recording before, where changes were looked for
-    proposed: NextExperiment | None = None  #: what would tell more
-    changes: Sequence[str] = ()  #: of the bench config, by --set
-    rounds: list[str] = field(default_factory=list)  #: what was run after the first run, and what it was to tell
 
 
 @dataclass
@@ -206,22 +180,12 @@ def _write(found: Found, source: Path, out: Path) -> _Files:
         files.config = out / "config_extended.yaml"
         write_config_over(files.config, [found.config, files.model], found.changes)
     title = f"Diagnosis of {source.name}" + ("" if found.against is None else f" against {found.against.name}")
-    write_diagnosis_page(
-        found.diagnosis,
-        found.live,
-        found.not_compared,
-        title,
-        files.page,
-        files.config,
-        changes=found.against is not None,
-        proposed=found.proposed,
-        rounds=found.rounds,
-    )
+    write_diagnosis_page(found, title, files.page, files.config)
     return files
 
 
 def _show_all(console: Console, found: Found, files: _Files | None) -> None:
-    _show(console, found.diagnosis, found.against)
+    _show(console, found)
     for line in found.rounds:
         console.print(f"ran as well: {line}", soft_wrap=True)
     if found.live:
@@ -282,9 +246,9 @@ def _effect(effect: NamedEffect) -> dict[str, Any]:
     return _placed(effect) | {"parameters": parameters}
 
 
-def _show(console: Console, found: Diagnosis, against: Path | None) -> None:
-    sentences = _SENTENCES if against is None else _CHANGES
-    console.print(f"{found.verdict}: {sentences[found.verdict]}", soft_wrap=True)
+def _show(console: Console, shown: Found) -> None:
+    found, against = shown.diagnosis, shown.against
+    console.print(f"{found.verdict}: {shown.sentence}", soft_wrap=True)
     console.print(f"predicted on {found.predicted_on}", soft_wrap=True)
     for effect in found.nuisance:
         sizes = [f"{k} {v.value:.3g} ({v.ci95[0]:.3g} to {v.ci95[1]:.3g})" for k, v in effect.parameters.items()]
