@@ -31,6 +31,10 @@ SetOption = Annotated[
     list[str] | None,
     Option("--set", metavar="KEY=VALUE", help="another value in the config, e.g. machine.web.width_m=0.6; repeatable"),
 ]
+ModelOption = Annotated[
+    Path | None,
+    Option("--model", help="model file, or a bench config with the model in it (YAML); a bench has its own"),
+]
 JsonOption = Annotated[bool, Option("--json", help="print JSON on standard output, nothing else")]
 EdsOption = Annotated[
     Path, Option("--eds", help="EDS file, or folder in which that of the device is found by its identity")

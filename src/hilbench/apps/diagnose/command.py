@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hilbench.apps.cli.options import BusOption, JsonOption, SetOption
+from hilbench.apps.cli.options import BusOption, JsonOption, ModelOption, SetOption
 from hilbench.errors import UnusableInputError
 
 
@@ -19,10 +19,7 @@ def diagnose(
             help="recording (.mf4, .csv, .csv.gz) or run folder, or a bench config (.yaml) to run and diagnose",
         ),
     ],
-    model: Annotated[
-        Path | None,
-        typer.Option("--model", help="model file, or a bench config with the model in it (YAML); a bench has its own"),
-    ] = None,
+    model: ModelOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
