@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from hilbench.errors import UnusableInputError
@@ -62,15 +62,19 @@ def write_whole(path: str | Path, text: str) -> None:
 
 def make_folder(path: Path) -> None:
     """Make a folder, with those above it, where there is none. Raises UnusableInputError when it cannot be made."""
-    try:
+    with usable(path, "made", "a folder"):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be made ({error.strerror}), expected a folder") from error
 
 
 @contextmanager
-def _writable(path: Path) -> Iterator[None]:
+def usable(path: str | Path, use: str, expected: str) -> Iterator[None]:
+    """Raise UnusableInputError where a file can't be `use` (read, written) as `expected`, for what the system says."""
     try:
         yield
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise UnusableInputError(path, f"cannot be {use} ({reason}), expected {expected}") from error
+
+
+def _writable(path: Path) -> AbstractContextManager[None]:
+    return usable(path, "written", "a writable folder")

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from hilbench.block import Strict
 from hilbench.errors import UnusableInputError
-from hilbench.files import content, write_whole
+from hilbench.files import content, usable, write_whole
 
 #: Of one file, at most.
 _MOST_BYTES: Final = 64_000_000
@@ -29,10 +29,10 @@ class JsonFile(Strict):
     @classmethod
     def read(cls, path: Path) -> Self:
         """Read and check. Raises UnusableInputError: file, key, value found."""
+        with usable(path, "read", cls.described):
+            found = content(path, _MOST_BYTES, kept=True)
         try:
-            return cls.model_validate_json(content(path, _MOST_BYTES, kept=True))
-        except OSError as error:
-            raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected {cls.described}") from error
+            return cls.model_validate_json(found)
         except ValidationError as error:
             first = error.errors()[0]
             key = ".".join(map(str, first["loc"])) or "the file"

@@ -19,7 +19,7 @@ from pydantic_core import ErrorDetails
 
 from hilbench.did_you_mean import did_you_mean
 from hilbench.errors import UnusableInputError
-from hilbench.files import content
+from hilbench.files import content, usable
 from hilbench.pydantic_messages import expected
 
 Location = tuple[str | int, ...]
@@ -227,11 +227,8 @@ def load(path: Path) -> Document:
 
     Raises UnusableInputError, with file and line, on unreadable files, syntax errors and repeated keys.
     """
-    try:
+    with usable(path, "read", "a YAML file"):
         text = content(path, _MOST_BYTES).decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise UnusableInputError(path, f"cannot be read ({reason}), expected a YAML file") from error
     try:
         loader, root = _composed(text)
         places: dict[Location, str] = {}

@@ -166,21 +166,21 @@ def test_two_repeats_of_a_web_machine_differ_in_nothing(worn: Recording) -> None
 def test_on_the_command_line_it_prints_the_changes_and_writes_one_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from hilbench.apps.diagnose.diagnose import diagnose_command
+    from hilbench.apps.diagnose.command import diagnose
 
     before, after, out = tmp_path / "before.csv", tmp_path / "after.csv", tmp_path / "out"
     write_recording(recorded(*FRICTION, seed=1), before)
     write_recording(recorded(effect("coulomb_friction", 1, force_N=2.4), FRICTION[1], seed=2), after)
-    diagnose_command(after, None, out, as_json=True, against=before)
+    diagnose(after, out=out, json=True, against=before)
     said = json.loads(capsys.readouterr().out)
     assert said["against"] == str(before)
     assert [one["effect"] for one in said["effects"]] == ["coulomb_friction"]
     assert said["effects"][0]["parameters"]["force_N"]["before"] == pytest.approx(1.5, rel=0.1)
-    diagnose_command(after, None, out, as_json=False, against=before)
+    diagnose(after, out=out, against=before)
     shown = capsys.readouterr().out
     assert "named: the effects below changed" in shown
     page = (out / "diagnosis.html").read_text()
     assert "Diagnosis of after.csv against before.csv" in page
     assert "What changed" in page
     with pytest.raises(UnusableInputError, match="expected with --against the recording after"):
-        diagnose_command(Path("bench_configs/hidden_friction.yaml"), None, None, as_json=True, against=before)
+        diagnose(Path("bench_configs/hidden_friction.yaml"), json=True, against=before)

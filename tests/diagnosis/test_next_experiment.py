@@ -205,6 +205,7 @@ def test_until_clear_the_bench_runs_on_with_more_steps_each_time_and_three_times
 ) -> None:
     """The bench and the search are stood in for: what is run in which order, and what is said of it."""
     from hilbench.apps.diagnose import diagnose as command
+    from hilbench.apps.diagnose.command import diagnose
     from hilbench.diagnosis.bench_gap import LiveGap
     from hilbench.results.recording import Recording
 
@@ -223,7 +224,7 @@ def test_until_clear_the_bench_runs_on_with_more_steps_each_time_and_three_times
     monkeypatch.setattr(command, "live_gap", lambda outcome: LiveGap(Path("run"), 1, ()))
     monkeypatch.setattr(command, "read_section", lambda path: recording)
     monkeypatch.setattr(command, "diagnose", lambda *_: tied if len(ran) <= clear_after else clear)
-    command.diagnose_command(Path("bench_configs/hidden_friction.yaml"), None, None, as_json=True, until_clear=True)
+    diagnose(Path("bench_configs/hidden_friction.yaml"), json=True, until_clear=True)
     said = json.loads(capsys.readouterr().out)
     assert len(said["rounds"]) == rounds
     assert all(line.startswith("slowly forward and back") for line in said["rounds"])

@@ -10,7 +10,7 @@ import pytest
 from tests.report.parsed import EVIL, parsed
 
 from hilbench.apps.compare.page import ComparedRun, write_compare_page
-from hilbench.apps.diagnose.page import write_diagnosis_page
+from hilbench.apps.diagnose.page import Found, write_diagnosis_page
 from hilbench.apps.report import page as report_page
 from hilbench.apps.sync.page import write_comparison
 from hilbench.diagnosis.bench_gap import LiveFigure, LiveGap
@@ -64,7 +64,8 @@ def diagnosis() -> Diagnosis:
 
 def diagnosed(path: Path) -> Path:
     gaps = [LiveGap(Path("run"), 3, (LiveFigure("torque_residual_rms_Nm", "torque residual, rms, N·m", 1.0),))]
-    return write_diagnosis_page(diagnosis(), gaps, f"why {EVIL}", f"title {EVIL}", path, Path("bench<b>.yaml"))
+    found = Found(diagnosis(), None, gaps, f"why {EVIL}")
+    return write_diagnosis_page(found, f"title {EVIL}", path, Path("bench<b>.yaml"))
 
 
 @pytest.mark.parametrize(("write", "times"), [(compared, 3), (synchronized, 1), (diagnosed, 10)])
@@ -89,7 +90,7 @@ def test_a_diagnosis_without_a_finding_leaves_its_sections_out(tmp_path: Path) -
     nothing = replace(
         diagnosis(), verdict="complete", effects=[], where=[], profiles=[], unexplained=[], unobservable=[]
     )
-    text = parsed(write_diagnosis_page(nothing, [], "", "title", tmp_path / "page.html", None)).text
+    text = parsed(write_diagnosis_page(Found(nothing, None), "title", tmp_path / "page.html", None)).text
     assert "Nothing is missing that these data can show." in text
     for absent in ("Effects", "Where the model disagreed", "Not explained", "The twin on the bench", "in use"):
         assert absent not in text

@@ -24,7 +24,7 @@ from hilbench.canopen.object_store import NO_DATA
 from hilbench.canopen.sdo_client import Refusal, no_answer
 from hilbench.canopen.storage import NO_PARAMETERS
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.files import content, write_whole, written_whole
+from hilbench.files import content, usable, write_whole, written_whole
 
 #: (index, sub-index).
 Key = tuple[int, int]
@@ -256,10 +256,10 @@ def read_file(path: Path, od: canopen.ObjectDictionary) -> Configuration:
 
 
 def _read_concise(path: Path) -> list[concise_dcf.Write]:
+    with usable(path, "read", "a concise DCF"):
+        found = content(path, eds.MOST_BYTES)
     try:
-        return concise_dcf.decode(content(path, eds.MOST_BYTES))
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected a concise DCF") from error
+        return concise_dcf.decode(found)
     except ValueError as error:
         raise UnusableInputError(path, f"{error}; expected a concise DCF (CiA 302-3)") from error
 

@@ -18,7 +18,7 @@ import canopen
 from hilbench.canopen.data_types import NODE_ID, DataType, Value, data_type
 from hilbench.canopen.identifiers import MAPPING, RPDO_INDICES, TPDO_INDICES
 from hilbench.errors import UnusableInputError
-from hilbench.files import content
+from hilbench.files import content, usable
 
 #: Bytes of a file, objects in it with their entries, and the last sub-index there is (CiA 301).
 MOST_BYTES, _MOST_OBJECTS, _LAST_SUB = 4_000_000, 65_536, 254
@@ -111,10 +111,8 @@ def _sections(path: Path, _as_of: tuple[int, int]) -> dict[str, _Section]:
 
 def _as_of(path: Path) -> tuple[int, int]:
     """Modification time and size of a file, to detect a change."""
-    try:
+    with usable(path, "read", "an EDS file"):
         status = path.stat()
-    except OSError as error:
-        raise _unreadable(path, error) from error
     return status.st_mtime_ns, status.st_size
 
 
@@ -230,15 +228,9 @@ def _full_name(candidate: ODVariable) -> str:
     return f"{snake_case(parent.name)}.{own}" if isinstance(parent, ODRecord | ODArray) else own
 
 
-def _unreadable(path: Path, error: OSError) -> UnusableInputError:
-    return UnusableInputError(path, f"cannot be read ({error.strerror}), expected an EDS file")
-
-
 def _read_sections(path: Path) -> dict[str, _Section]:
-    try:
+    with usable(path, "read", "an EDS file"):
         text = content(path, MOST_BYTES).decode("utf-8-sig", errors="replace")
-    except OSError as error:
-        raise _unreadable(path, error) from error
     sections: dict[str, _Section] = {}
     current: _Section | None = None
     for number, raw in enumerate(text.splitlines(), start=1):

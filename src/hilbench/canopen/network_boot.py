@@ -19,7 +19,7 @@ from hilbench.canopen.device_configuration import write_device
 from hilbench.canopen.identifiers import LAST_NODE, NmtCommand
 from hilbench.canopen.master import Master
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.files import content
+from hilbench.files import content, usable
 
 # Bits of 1F80h and of an entry of 1F81h.
 _IS_MASTER, _START_ALL_AT_ONCE, _START_NO_NODE = 0x01, 0x02, 0x08
@@ -253,12 +253,8 @@ def _configuration(
     place, block = path, b""
     if node_id in files:
         place = files[node_id]
-        try:
+        with usable(place, "read", f"the concise DCF of node {node_id} (1F22h)"):
             block = content(place, eds.MOST_BYTES)
-        except OSError as error:
-            raise UnusableInputError(
-                place, f"cannot be read ({error.strerror}), expected the concise DCF of node {node_id} (1F22h)"
-            ) from error
     else:
         try:
             found = eds.variable(od, _CONCISE_DCF, node_id)

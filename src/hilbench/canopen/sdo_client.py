@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Final, Self
+
+from canopen.sdo.client import SdoClient as CanopenClient
 
 from canopen import ObjectDictionary
 from canopen import SdoAbortedError as SdoAbortedError
@@ -21,6 +23,8 @@ from hilbench.errors import BusError
 #: For a bus on which nothing is wanted but answers.
 SDO_ANSWERS: Final[can.typechecking.CanFilters] = [{"can_id": SDO_ANSWER, "can_mask": FUNCTION_CODE, "extended": False}]
 
+#: A frame, and the command of an abort.
+_BYTES, _ABORTED = 8, 0x80
 #: Store and restore parameters.
 _STORED: Final = (0x1010, 0x1011)
 _STORED_S: Final = 10.0
@@ -190,3 +194,23 @@ class SdoClient:
         except (can.CanError, OSError) as error:
             reason = " ".join(str(error).split())
             raise BusError(f"SDO request to node {node_id} could not be sent: {reason}") from error
+
+
+class Transfers(CanopenClient):
+    """canopen's transfers, by a function that answers a request."""
+
+    def __init__(self, exchange: Callable[[bytes], bytes | None]) -> None:
+        super().__init__(0, 0, ObjectDictionary())
+        self._exchange = exchange
+
+    def request_response(self, sdo_request: bytes) -> bytes:
+        """Raises SdoAbortedError, and SdoCommunicationError without an answer of the length of one."""
+        answer = self._exchange(bytes(sdo_request))
+        if answer is None or len(answer) != _BYTES:
+            raise SdoCommunicationError("no answer")
+        if answer[0] == _ABORTED:
+            raise SdoAbortedError(int.from_bytes(answer[4:], "little"))
+        return answer
+
+    def abort(self, abort_code: int = 0) -> None:
+        """No abort is sent."""

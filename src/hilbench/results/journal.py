@@ -11,11 +11,13 @@ from pydantic import TypeAdapter, ValidationError
 
 from hilbench.bench.reports.change import Change
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.files import require_file
+from hilbench.files import require_file, usable
 
 _CHANGE = TypeAdapter(Change)
 _ENCODER = json.JSONEncoder(separators=(",", ":"))
 _LONGEST_LINE = 512
+
+_EXPECTED = "a run's journal"
 
 
 class JournalWriter:
@@ -26,12 +28,8 @@ class JournalWriter:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
+        with usable(path, "created", "a new file in a writable folder"):
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o666)
-        except OSError as error:
-            raise UnusableInputError(
-                path, f"cannot be created ({error.strerror}), expected a new file in a writable folder"
-            ) from error
 
     def write(self, change: Change) -> None:
         """Add one change. Raises BenchFaultError (disk full, …)."""
@@ -65,14 +63,9 @@ class JournalReader:
 
     def new(self) -> list[Change]:
         """The changes since the last call, as far as their lines are whole."""
-        try:
-            with open(self.path, "rb") as file:
-                file.seek(self._offset)
-                text = file.read()
-        except OSError as error:
-            raise UnusableInputError(
-                self.path, f"cannot be read ({error.strerror}), expected a run's journal"
-            ) from error
+        with usable(self.path, "read", _EXPECTED), open(self.path, "rb") as file:
+            file.seek(self._offset)
+            text = file.read()
         self._offset += len(text)
         *whole, self._rest = (self._rest + text).split(b"\n")
         self._lines += len(whole)
@@ -83,14 +76,12 @@ class JournalReader:
 def append_to_journal(path: Path, change: Change) -> None:
     """Add what somebody else than the bench did to the journal of a run. Raises UnusableInputError."""
     line = _line(change)
-    try:
+    with usable(path, "written", _EXPECTED):
         file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
         try:
             os.write(file, line)
         finally:
             os.close(file)
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a run's journal") from error
 
 
 def read_journal(path: Path) -> list[Change]:
@@ -100,16 +91,13 @@ def read_journal(path: Path) -> list[Change]:
     """
     changes: list[Change] = []
     require_file(path)
-    try:
-        with open(path, "rb") as file:
-            number = 0
-            while line := file.readline(_LONGEST_LINE):
-                number += 1
-                if not line.endswith(b"\n") and not file.read(1):
-                    break
-                changes.append(_change(line, f"{path}:{number}"))
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected a run's journal") from error
+    with usable(path, "read", _EXPECTED), open(path, "rb") as file:
+        number = 0
+        while line := file.readline(_LONGEST_LINE):
+            number += 1
+            if not line.endswith(b"\n") and not file.read(1):
+                break
+            changes.append(_change(line, f"{path}:{number}"))
     return changes
 
 

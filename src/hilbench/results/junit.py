@@ -22,6 +22,11 @@ def write_junit(result: Result, name: str, started: datetime, path: Path) -> Non
         ElementTree.SubElement(case, "skipped", message="completed, nothing judged")
     bus_s = result.timing.cycles * result.timing.cycle_us * 1e-6
     suite.set("time", f"{bus_s:.3f}")
+    write_suite(suite, path)
+
+
+def write_suite(suite: ElementTree.Element, path: Path) -> None:
+    """Write test cases with the counts of their verdicts. Raises UnusableInputError if they cannot be written."""
     suite.set("tests", str(len(suite)))
     for kind, counted in (("failure", "failures"), ("error", "errors"), ("skipped", "skipped")):
         suite.set(counted, str(len(suite.findall(f"testcase/{kind}"))))

@@ -23,6 +23,7 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
+from hilbench.files import usable
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -234,12 +235,9 @@ class MdfPieces:
         self.path = path
         self.columns: list[Column] = []  #: all of them, the time first
         self._seen: set[int] = set()
-        try:
-            with open(path, "rb") as file:
-                self._size = os.fstat(file.fileno()).st_size
-                self.start, about, self._groups = self._head(file)
-        except OSError as error:
-            raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected a recording") from error
+        with usable(path, "read", "a recording"), open(path, "rb") as file:
+            self._size = os.fstat(file.fileno()).st_size
+            self.start, about, self._groups = self._head(file)
         self.comment = about.findtext("TX") or ""
         self.thinned = about.findtext(".//e") is not None  #: whether not all samples of the run are in it
         # The last piece may hang in some groups only, where its writer was killed.

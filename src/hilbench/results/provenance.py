@@ -7,7 +7,6 @@ import os
 import platform
 import subprocess
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
@@ -15,7 +14,7 @@ from typing import Any, Self
 from hilbench import strict_yaml
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.block import Strict
-from hilbench.errors import UnusableInputError
+from hilbench.files import usable
 from hilbench.topology.config import BenchConfig
 
 _GIT_TIMEOUT_S = 5.0
@@ -77,19 +76,6 @@ def overridden(document: strict_yaml.Document) -> list[Override]:
     ]
 
 
-class AskedCommit:
-    """`commit_of` a file, asked while other things are done: a run starts sooner."""
-
-    def __init__(self, path: Path) -> None:
-        self._threads = ThreadPoolExecutor(1, "git")
-        self._said = self._threads.submit(commit_of, path)
-
-    def answer(self) -> Commit | None:
-        """Waits for it."""
-        self._threads.shutdown()
-        return self._said.result()
-
-
 def commit_of(path: Path) -> Commit | None:
     """The commit that is checked out at a file; None outside of a checkout, or without git."""
     commit, status, tracked = _git(
@@ -141,8 +127,6 @@ def _eds_files(config: BenchConfig) -> Iterable[EdsFile]:
     for part in config.parts:
         nodes.setdefault(part.node.eds, []).append(part.name)
     for file, names in nodes.items():
-        try:
+        with usable(file, "read", "an EDS file"):
             content = file.read_bytes()
-        except OSError as error:
-            raise UnusableInputError(file, f"cannot be read ({error.strerror}), expected an EDS file") from error
         yield EdsFile(file=str(file), sha256=hashlib.sha256(content).hexdigest(), nodes=names)

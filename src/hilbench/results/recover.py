@@ -35,6 +35,7 @@ from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.exchange.master_node import answer_id
 from hilbench.exchange.nodes import Nodes
+from hilbench.files import usable
 from hilbench.machine_kinds import machine_part
 from hilbench.results.journal import read_journal
 from hilbench.results.junit import write_junit
@@ -153,13 +154,11 @@ def _finish_recording(folder: RunFolder, config: ExperimentConfig) -> _Ended:
 
 
 def _require_ended(trace: Path) -> None:
-    try:
-        with open(trace, "rb") as file:
+    with usable(trace, "read", "a trace"), open(trace, "rb") as file:
+        try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise UnusableInputError(trace, "still being written, expected the trace of a run that has ended") from None
-    except OSError as error:
-        raise UnusableInputError(trace, f"cannot be read ({error.strerror}), expected a trace") from error
+        except BlockingIOError:
+            raise UnusableInputError(trace, "still being written, expected the trace of a run that has ended") from None
 
 
 def _result(config: ExperimentConfig, folder: RunFolder, ended: _Ended, changes: list[Change]) -> Result:
@@ -244,7 +243,8 @@ class CycleSplitter:
 
     def __init__(self, nodes: Nodes) -> None:
         master_id = nodes.config.master.node_id
-        self._own = {cob_id for cob_id, _ in _own_frames(nodes)} | {HEARTBEAT + master_id, answer_id(master_id)}
+        self._own = {HEARTBEAT + master_id, answer_id(master_id), *(pdo.cob_id for pdo in nodes.io.boundary)}
+        self._own |= {cob_id for drive in nodes.drives for cob_id in drive.rpdo_cob_ids}
         self._first = nodes.axes[0].pdos.rpdo.cob_id
         self.current = CycleFrames()
 
@@ -293,12 +293,6 @@ def _complete(cycles: Iterator[CycleFrames], nodes: Nodes) -> Iterator[CycleFram
         before = cycle
     if before is not None and needed <= {frame.can_id for frame in before.received}:
         yield before
-
-
-def _own_frames(nodes: Nodes) -> Iterator[tuple[int, str]]:
-    for drive in nodes.drives:
-        yield from ((cob_id, drive.settings.name) for cob_id in drive.rpdo_cob_ids)
-    yield from ((pdo.cob_id, nodes.twin_name) for pdo in nodes.io.boundary)
 
 
 def take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:

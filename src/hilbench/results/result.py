@@ -213,6 +213,16 @@ class Environment(Strict):
         )
 
 
+def _shared(block: type[Strict], *sources: object) -> dict[str, Any]:
+    """The fields of a block that one of these has under the same name, the first one that has it."""
+    return {
+        name: getattr(source, name)
+        for source in reversed(sources)
+        for name in block.model_fields
+        if hasattr(source, name)
+    }
+
+
 class ChangeRecord(Strict):
     """A quantity that an event changed, SI; None where nobody knows the value."""
 
@@ -287,22 +297,8 @@ class PredictedLimit(_WithOptions):
     @classmethod
     def of(cls, made: Announcement) -> Self:
         """As it stands in the file."""
-        crossing = made.crossing
-        return cls(
-            t_s=made.t_s,
-            quantity=crossing.watched.name,
-            signal=crossing.watched.signal,
-            level=crossing.level,
-            limit=crossing.limit,
-            unit=crossing.watched.unit,
-            probability=crossing.probability,
-            expected_s=crossing.expected_s,
-            earliest_s=crossing.earliest_s,
-            latest_s=crossing.latest_s,
-            action=made.action,
-            crossed_s=made.crossed_s,
-            withdrawn_s=made.withdrawn_s,
-        )
+        watched = made.crossing.watched
+        return cls(quantity=watched.name, **_shared(cls, made, made.crossing, watched))
 
 
 def _known(value: float | None) -> float | None:
@@ -338,14 +334,9 @@ class EstimatedRecord(Strict):
         """As it stands in the file."""
         half = _NORMAL_95 * found.deviation
         return cls(
-            effect=found.effect,
-            place=found.place,
-            parameter=found.parameter,
-            value=found.value,
             ci95=(found.value - half, found.value + half),
             unit=find_effect(found.effect).parameter(found.parameter).unit,
-            separable=found.separable,
-            tied_with=list(found.tied_with),
+            **_shared(cls, found),
         )
 
 
@@ -389,28 +380,17 @@ class FoundRecord(Strict):
     def of(cls, change: ModelChange) -> list[Self]:
         """As they stand in the file: one for each effect of a change."""
         both = [*((effect, False) for effect in change.effects), *((effect, True) for effect in change.gone)]
-        return [cls._of(change, effect, gone=gone) for effect, gone in both]
+        gap = None if change.gap is None else GapRecord(**asdict(change.gap))
+        return [
+            cls(**_shared(cls, effect, change) | {"t_s": change.begun_s, "gap": gap, "gone": gone} | _found_in(effect))
+            for effect, gone in both
+        ]
 
-    @classmethod
-    def _of(cls, change: ModelChange, effect: FoundEffect, *, gone: bool) -> Self:
-        gap = change.gap
-        return cls(
-            t_s=change.begun_s,
-            effect=effect.effect,
-            axis=effect.axis,
-            span=effect.span,
-            parameters={
-                name: FoundParameter(value=each.value, ci95=(each.low, each.high), unit=each.unit)
-                for name, each in effect.parameters.items()
-            },
-            named_after_s=change.named_after_s,
-            applied_after_s=change.applied_after_s,
-            tension_step_N=change.tension_step_N,
-            gap=None if gap is None else GapRecord(**asdict(gap)),
-            gone=gone,
-            refused=change.refused,
-            tied_with=list(effect.tied_with),
-        )
+
+def _found_in(effect: FoundEffect) -> dict[str, dict[str, FoundParameter]]:
+    values = effect.parameters.items()
+    found = {n: FoundParameter(value=one.value, ci95=(one.low, one.high), unit=one.unit) for n, one in values}
+    return {"parameters": found}
 
 
 class StreamRecord(Strict):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -37,7 +38,7 @@ from hilbench.results.commissioned import commissioned_text
 from hilbench.results.journal import JournalWriter
 from hilbench.results.junit import write_junit
 from hilbench.results.keeping import Keeping
-from hilbench.results.provenance import AskedCommit, Provenance
+from hilbench.results.provenance import Provenance, commit_of
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.results.result import (
@@ -217,7 +218,9 @@ class RunRecord:
         self.config = loaded.config
         self.verdicts: list[CriterionResult] = []  #: what the experiment tests itself
         self._announce = announce
-        self._commit = AskedCommit(loaded.document.path)
+        asked = ThreadPoolExecutor(1, "git")  # while other things are done: a run starts sooner
+        self._commit = asked.submit(commit_of, loaded.document.path)
+        asked.shutdown(wait=False)
         self._provenance = Provenance.of(loaded.config, loaded.document, participants)
         self._happened = happened or EventLog(loaded.config.cycle_time_s)
         self._started = datetime.now(UTC)
@@ -294,7 +297,7 @@ class RunRecord:
             predicted=None if prediction is None else prediction.announcements.made,
             estimated=bench.found_beside,
             began=self._started,
-            provenance=self._provenance.model_copy(update={"git": self._commit.answer()}),
+            provenance=self._provenance.model_copy(update={"git": self._commit.result()}),
             warnings=warnings or None,
             found=found,
             gap_history=history,
@@ -354,15 +357,10 @@ class Ending:
 
 
 def _warned(notice: Notice) -> Warned:
-    again = notice.count > 1
-    return Warned(
-        time_s=notice.time_s,
-        source=notice.source,
-        text=notice.text,
-        count=notice.count,
-        last_time_s=notice.last_time_s if again else None,
-        last_text=notice.last_text if again else None,
+    again: dict[str, Any] = (
+        {"last_time_s": notice.last_time_s, "last_text": notice.last_text} if notice.count > 1 else {}
     )
+    return Warned(time_s=notice.time_s, source=notice.source, text=notice.text, count=notice.count, **again)
 
 
 def measure_timing(bench: Bench, recorded: int) -> Timing:

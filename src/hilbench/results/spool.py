@@ -22,7 +22,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.errors import BenchFaultError
+from hilbench.files import usable
 from hilbench.results.mdf import MdfPieces, MdfWriter
 from hilbench.results.recording import BLOCK_ROWS, LEAST_SAMPLES, Recording, column_of, read_rows, read_section, typed
 from hilbench.results.recording_builder import RecordingBuilder
@@ -93,14 +94,9 @@ class Spool(RecordingBuilder):
             column_of(signal.name, np.dtype(np.int64 if signal.integer else np.float64), signal.unit)
             for signal in signals
         ]
-        try:
+        with usable(folder.unfinished_recording, "written", "space in a writable folder"):
             self._writer = MdfWriter(folder.unfinished_recording, columns, started, comment, thinned=around_events)
             super().__init__([signal.name for signal in signals], BLOCK_ROWS, whole)
-        except OSError as error:
-            raise UnusableInputError(
-                folder.unfinished_recording,
-                f"cannot be written ({error.strerror}), expected space in a writable folder",
-            ) from error
         self._thread = Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
 

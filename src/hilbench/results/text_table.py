@@ -72,7 +72,8 @@ def _rows(path: Path, file: IO[str], width: int) -> NDArray[np.float64]:
             warnings.simplefilter("ignore", UserWarning)  # "no data": said better by the check of the time
             rows = np.loadtxt(lines, delimiter=",", ndmin=2, comments=None)
     except ValueError as error:
-        raise UnusableInputError(*_bad_line(path, lines, width)) from error
+        otherwise = path, "not readable as numbers, expected a table separated by commas"
+        raise UnusableInputError(*next(_problems(path, lines, width), otherwise)) from error
     if not rows.size:
         return np.empty((0, width))
     if rows.shape[1] != width:
@@ -80,21 +81,15 @@ def _rows(path: Path, file: IO[str], width: int) -> NDArray[np.float64]:
     return np.asarray(rows, np.float64)
 
 
-def _bad_line(path: Path, lines: Sequence[str], width: int) -> tuple[str, str]:
-    for number, problem in _problems(lines, width):
-        return f"{path}:{number}", problem
-    return str(path), "not readable as numbers, expected a table separated by commas"
-
-
-def _problems(lines: Sequence[str], width: int) -> Iterator[tuple[int, str]]:
+def _problems(path: Path, lines: Sequence[str], width: int) -> Iterator[tuple[str | Path, str]]:
     for number, line in enumerate(lines, start=2):
         if not line.strip():
             continue
         fields = line.rstrip("\n").split(",")
         if len(fields) != width:
-            yield number, f"{len(fields)} values, expected {width} as in the header"
+            yield f"{path}:{number}", f"{len(fields)} values, expected {width} as in the header"
         for position, text in enumerate(fields):
             try:
                 float(text)
             except ValueError:
-                yield number, f"value {position + 1} is '{text.strip()[:40]}', expected a number"
+                yield f"{path}:{number}", f"value {position + 1} is '{text.strip()[:40]}', expected a number"

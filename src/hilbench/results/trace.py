@@ -33,7 +33,7 @@ from isal import igzip
 
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.errors import UnusableInputError
-from hilbench.files import require_file
+from hilbench.files import require_file, usable
 
 _EXTENDED_MASK = 0x1FFFFFFF
 _STANDARD_MASK = 0x7FF
@@ -88,13 +88,9 @@ class TraceWriter:
         self._ended = False
         self._seconds = -1
         self._seconds_text = ""
-        try:
+        with usable(path, "created", "a new file in a writable folder"):
             self._file = self._first = _new_file(path)
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise UnusableInputError(
-                path, f"cannot be created ({error.strerror}), expected a new file in a writable folder"
-            ) from error
 
     def write(self, frames: Iterable[Frame], sent_ns: int = 0) -> None:
         """Add frames in the order given.
@@ -284,10 +280,8 @@ class TraceReader:
 
     def _lines_of_part(self) -> Iterator[tuple[int, re.Match[bytes]]]:
         require_file(self._part)
-        try:
+        with usable(self._part, "read", "a trace"):
             file = open_part(self._part)
-        except OSError as error:
-            raise UnusableInputError(self._part, f"cannot be read ({error.strerror}), expected a trace") from error
         with file:
             number = 0
             while line := self._next(file):

@@ -104,22 +104,18 @@ def _check_methods(loaded: LoadedConfig) -> None:
 
 def _check_predictions(loaded: LoadedConfig) -> None:
     """A step that is checked by a prediction needs one."""
-    config, place = loaded.config, loaded.document.place
+    config = loaded.config
     for number, step in enumerate(config.steps):
         move = step.ramp or step.set or step.step
         if move is None or move.check is None:
             continue
+        place, known = loaded.document.place(("steps", number, step.kind, "check")), foreseeable(config)
         if config.twin.prediction is None:
-            raise UnusableInputError(
-                place(("steps", number, step.kind, "check")),
-                "'predicted' in a bench that does not look ahead, expected 'prediction: {}' in 'twin:'",
-            )
-        if move.path not in foreseeable(config):
-            raise UnusableInputError(
-                place(("steps", number, step.kind, "check")),
-                f"'predicted' for {move.path}, whose effect no prediction knows, expected it for one of "
-                f"{', '.join(foreseeable(config))}",
-            )
+            text = "'predicted' in a bench that does not look ahead, expected 'prediction: {}' in 'twin:'"
+            raise UnusableInputError(place, text)
+        if move.path not in known:
+            text = f"'predicted' for {move.path}, whose effect no prediction knows, expected it for one of "
+            raise UnusableInputError(place, text + ", ".join(known))
 
 
 def _check_criteria(loaded: LoadedConfig) -> None:
@@ -127,16 +123,11 @@ def _check_criteria(loaded: LoadedConfig) -> None:
     config = loaded.config
     known = {**metrics_of(config.machine.kind, config.shape).metrics, **OF_RUNS}
     for number, criterion in enumerate(config.criteria):
+        place, problem = loaded.document.place(("criteria", number, "metric")), None
         if find_found_metric(criterion.metric, (config.machine_kind,)) is not None:
             if config.twin.live_diagnosis is None:
-                raise UnusableInputError(
-                    loaded.document.place(("criteria", number, "metric")),
-                    f"metric '{criterion.metric}' of a run beside which nothing is diagnosed, expected 'twin: "
-                    "{live_diagnosis: {}}'",
-                )
-            continue
-        if criterion.metric not in known:
-            raise UnusableInputError(
-                loaded.document.place(("criteria", number, "metric")),
-                f"metric '{criterion.metric}' is none of this machine{expected_one_of(criterion.metric, known)}",
-            )
+                problem = "of a run beside which nothing is diagnosed, expected 'twin: {live_diagnosis: {}}'"
+        elif criterion.metric not in known:
+            problem = f"is none of this machine{expected_one_of(criterion.metric, known)}"
+        if problem:
+            raise UnusableInputError(place, f"metric '{criterion.metric}' {problem}")

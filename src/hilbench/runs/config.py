@@ -145,31 +145,12 @@ def _with_files_of_its_folder(document: strict_yaml.Document) -> strict_yaml.Doc
     return document
 
 
-def _named_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    blocks: list[tuple[tuple[str | int, ...], Any, str]] = [((), data, "history")]
-    for group in ("drives", "load_motors"):
-        parts = data.get(group)
-        for name, node in parts.items() if isinstance(parts, Mapping) else ():
-            blocks.append(((group, name), node, "eds"))
-            if isinstance(node, Mapping):
-                blocks.append(((group, name, "virtual"), node.get("virtual"), "eds"))
-    twin, steps = data.get("twin"), data.get("steps")
-    if isinstance(twin, Mapping):
-        blocks.append((("twin", "node"), twin.get("node"), "eds"))
-    blocks.append((("machine",), data.get("machine"), "file"))
-    load = data.get("load")
-    if isinstance(load, Mapping):
-        blocks.append((("load", "fmu"), load.get("fmu"), "file"))
-    if isinstance(steps, list):
-        blocks += [
-            (("steps", number, kind), action, "file")
-            for number, step in enumerate(steps)
-            if isinstance(step, Mapping)
-            for kind, action in step.items()
-        ]
-    for location, block, key in blocks:
-        if isinstance(block, Mapping) and isinstance(block.get(key), str):
-            yield (*location, key), block[key]
+def _named_files(data: Any, at: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    for key, value in data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else ():
+        if key in ("eds", "file", "history") and isinstance(value, str):
+            yield (*at, key), value
+        else:
+            yield from _named_files(value, (*at, key))
 
 
 def dump(config: BenchConfig, path: Path) -> None:

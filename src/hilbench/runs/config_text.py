@@ -148,7 +148,7 @@ def edited(text: str, location: Sequence[str], value: Any, place: str | Path) ->
     rest = location[done:]
     if isinstance(node, yaml.MappingNode) and rest:
         changed = _with_key(text, node, _pair(rest, value))
-    elif isinstance(node, yaml.ScalarNode) and (not rest or _is_nothing(node)):
+    elif isinstance(node, yaml.ScalarNode) and (not rest or (node.value == "" and node.style is None)):  # no value yet
         new = _scalar(value) if not rest else "{" + _pair(rest, value) + "}"
         start, end = node.start_mark.index, node.end_mark.index
         changed = text[:start] + ("" if text[start - 1 : start] in (" ", "") else " ") + new + text[end:]
@@ -156,11 +156,6 @@ def edited(text: str, location: Sequence[str], value: Any, place: str | Path) ->
         name = ".".join(location)
         raise UnusableInputError(place, f"'{name}' can't be set in it, expected mappings and a single value on the way")
     return changed
-
-
-def _is_nothing(node: yaml.ScalarNode) -> bool:
-    """True if a key has no value at all: an empty text in quotes is one."""
-    return node.value == "" and node.style is None
 
 
 def _with_key(text: str, node: yaml.MappingNode, pair: str) -> str:

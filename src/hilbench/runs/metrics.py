@@ -64,16 +64,10 @@ OF_RUNS: Final = {
 
 #: Every metric of the smallest machines: of several kinds with one the first's.
 METRICS: Final[Mapping[str, Metric]] = {
-    **OF_STEPS[FIRST_KIND].metrics,
-    **{
-        name: metric
-        for machine in OF_STEPS.values()
-        for name, metric in machine.metrics.items()
-        if name not in OF_STEPS[FIRST_KIND].metrics
-    },
-    **OF_RUNS,
-    **estimated_errors.METRICS,
-}
+    name: metric
+    for machine in (OF_STEPS[FIRST_KIND], *OF_STEPS.values(), OF_STEPS[FIRST_KIND])
+    for name, metric in machine.metrics.items()
+} | {**OF_RUNS, **estimated_errors.METRICS}
 
 #: Steps whose reasons are told in one line.
 _MOST_REASONS: Final = 3

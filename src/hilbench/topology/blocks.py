@@ -92,14 +92,11 @@ class HiddenEffect(EffectEntry):
         return effect.axis_problem(self.axis) or effect.section_problem(self.section) or effect.problem(self.parameters)
 
 
-def _place_problem(entry: EffectEntry, place: EffectPlace, kind: MachineKind) -> str | None:
-    return effect_problem(entry.effect, entry.axis, place, None, None, kind, section=entry.section)
-
-
 def _possible_effects(entries: list[HiddenEffect], place: EffectPlace) -> list[HiddenEffect]:
     """Check that there is a kind of machine that can have each entry; which one it is, the whole config decides."""
     for entry in entries:
-        problems = [_place_problem(entry, place, kind) for kind in MachineKind]
+        at = entry.effect, entry.axis, place, None, None
+        problems = [effect_problem(*at, kind, section=entry.section) for kind in MachineKind]
         if all(problems):
             raise ValueError(problems[0])
     return entries

@@ -45,10 +45,8 @@ from hilbench.topology.web_line_config import (
     PositionControlConfig,
     ReelControlConfig,
     TensionControlConfig,
-    position_loops,
-    reel_loops,
+    loops_of,
     set_point_controls,
-    tension_loops,
     torqued_reels,
 )
 
@@ -224,8 +222,10 @@ class BenchConfig(Block):
         Raises UnusableInputError for a machine of another kind.
         """
         hardware = self.hardware
-        axes = {name: axis for axis, name in enumerate(self.drives, 1)}
-        load_motors = [CoupledMotor(axis=axes[motor.shaft], motor=motor.motor) for motor in self.load_motors.values()]
+        load_motors = [
+            CoupledMotor(axis=axis, motor=motor.motor)
+            for axis, motor in zip(self.loaded_axes, self.load_motors.values(), strict=True)
+        ]
         return RigParameters.matching(self.web_line, load_motors, hardware.sensors, hardware.effects)
 
     def servo_rig_parameters(self, effects: Sequence[ShaftEffect] | None = None) -> ServoRigParameters:
@@ -236,8 +236,9 @@ class BenchConfig(Block):
         hardware = self.hardware
         (load_motor,) = self.load_motors.values()
         given = hardware.effects if effects is None else effects
-        hidden = [ShaftEffect.model_validate(entry.model_dump()) for entry in given]
-        return ServoRigParameters.matching(self.servo_axis, hardware.shaft, load_motor.motor, hardware.sensors, hidden)
+        return ServoRigParameters.matching(
+            self.servo_axis, hardware.shaft, load_motor.motor, hardware.sensors, _of_shaft(given)
+        )
 
     def emulated_shaft(self) -> ServoAxisParameters:
         """The truth of a run: the servo axis without the model's effects, with what `load:` changes and hides.
@@ -257,12 +258,7 @@ class BenchConfig(Block):
     @property
     def parts(self) -> tuple[Part, ...]:
         """All nodes: the drives, the load motors, the virtual axes, the virtual I/O."""
-        return (
-            *self.parts_of(Role.AXIS),
-            *self.parts_of(Role.LOAD_MOTOR),
-            *self.parts_of(Role.VIRTUAL_AXIS),
-            *self.parts_of(Role.VIRTUAL_IO),
-        )
+        return tuple(part for role in Role for part in self.parts_of(role))
 
     def parts_of(self, role: Role) -> tuple[Part, ...]:
         """The nodes of one role, in the order of the config."""
@@ -284,10 +280,7 @@ class BenchConfig(Block):
 
     def part(self, name: str) -> Part:
         """The node of a name. Raises KeyError for none."""
-        for part in self.parts:
-            if part.name == name:
-                return part
-        raise KeyError(name)
+        return {part.name: part for part in self.parts}[name]
 
     @property
     def shape(self) -> Shape:
@@ -312,19 +305,19 @@ class BenchConfig(Block):
     @property
     def tension_controls(self) -> dict[int, TensionControlConfig]:
         """The controllers of tensions by the span whose tension they keep, in the order of the spans."""
-        found = tension_loops(self.controllers.values())
+        found = loops_of(TensionControlConfig, self.controllers.values())
         return {control.span: control for control in sorted(found, key=lambda each: each.span)}
 
     @property
     def position_controls(self) -> dict[str, PositionControlConfig]:
         """The controllers of dancers and accumulators by the name of the station."""
-        return {control.station: control for control in position_loops(self.controllers.values())}
+        return {control.station: control for control in loops_of(PositionControlConfig, self.controllers.values())}
 
     @property
     def reel_controls(self) -> dict[int, ReelControlConfig]:
         """The controllers of reels in torque mode by the axis of the reel."""
         found = self.controllers.values()
-        return torqued_reels(self.web_line, found) if reel_loops(found) else {}
+        return torqued_reels(self.web_line, found) if loops_of(ReelControlConfig, found) else {}
 
     @property
     def set_point_controls(self) -> dict[int, TensionControlConfig | ReelControlConfig]:
@@ -385,8 +378,7 @@ class BenchConfig(Block):
         if self.pace == "lockstep":
             return None
         wanted = self.realtime
-        below = 0 if part == "bench" else 1
-        priority = None if wanted.priority is None else wanted.priority - below
+        priority = None if wanted.priority is None else wanted.priority - (part != "bench")
         return ProcessSettings(priority, getattr(wanted.cores, part), wanted.lock_memory)
 
     def units_of(self, node_id: int, axis: int = 1) -> dict[str, float]:

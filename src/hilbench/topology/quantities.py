@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -144,10 +145,8 @@ def parse_effect_path(text: str, kind: MachineKind | None = None) -> EffectPath:
     try:
         return _parsed(text, MachineKind.WEB_LINE)
     except ValueError:
-        try:
+        with suppress(ValueError):  # the first kind's words say more
             return _parsed(text, MachineKind.SERVO_AXIS)
-        except ValueError:
-            pass  # the first kind's words say more
         raise
 
 

@@ -91,7 +91,7 @@ class Shape:
         return min(self.estimated, key=lambda other: (abs(other - number), other))
 
     def _parts(self, per: Per) -> Iterable[str]:
-        named: Mapping[Per, Iterable[str]] = {
+        parts: Mapping[Per, Iterable[str | int]] = {
             Per.LOAD_MOTOR: self.load_motors,
             Per.CARRIAGE: self.carriages,
             Per.REEL: self.reels,
@@ -101,10 +101,6 @@ class Shape:
             Per.PUSHED_CARRIAGE: self.pushed,
             Per.CELL: self.cells,
             Per.WINDER: [""] if self.winds else [],
-        }
-        if per in named:
-            return named[per]
-        numbers: Mapping[Per, Iterable[int]] = {
             Per.AXIS: range(1, self.axes + 1),
             Per.TORQUED_AXIS: self.torqued,
             Per.SPAN: range(1, self.spans + 1),
@@ -112,7 +108,7 @@ class Shape:
             Per.CONTROLLED: self.controlled,
             Per.SIMULATED: self.simulated,
         }
-        return map(str, numbers[per])
+        return map(str, parts[per])
 
     def instances(self, kind: SignalKind) -> Iterator[Signal]:
         """The signals of a declaration, one for each part that has it."""

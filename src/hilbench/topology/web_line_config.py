@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from math import inf
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Discriminator, Field, FiniteFloat, PositiveFloat, Tag
 
@@ -86,10 +86,7 @@ class TensionControlConfig(Block):
         "torques at ramps and steps of set-points, ahead of the controller, so that neighbours are not disturbed",
     )
     set_point_rise_s: float = Field(
-        default=0.4,
-        ge=0.05,
-        le=60,
-        description="with feed_forward: rise time of a stepped set-point",
+        default=0.4, ge=0.05, le=60, description="with feed_forward: rise time of a stepped set-point"
     )
     probing: ProbingMode | ProbingConfig = Field(
         default="off", description="small known changes of the tension; a word alone is the mode"
@@ -183,34 +180,26 @@ ControllerConfig = Annotated[
     ),
 ]
 
-
-def tension_loops(controllers: Iterable[ControllerConfig]) -> list[TensionControlConfig]:
-    """Controllers of tensions."""
-    return [each for each in controllers if isinstance(each, TensionControlConfig)]
+Control = TypeVar("Control", TensionControlConfig, PositionControlConfig, ReelControlConfig)
 
 
-def position_loops(controllers: Iterable[ControllerConfig]) -> list[PositionControlConfig]:
-    """Controllers of positions."""
-    return [each for each in controllers if isinstance(each, PositionControlConfig)]
+def loops_of(kind: type[Control], controllers: Iterable[ControllerConfig]) -> list[Control]:
+    """Controllers of a kind."""
+    return [each for each in controllers if isinstance(each, kind)]
 
 
 def forces_ahead(controllers: Iterable[ControllerConfig]) -> dict[str, CarriageForceConfig]:
     """Forces on carriages that are sent ahead, by the name of the station."""
-    return {each.station: each.force for each in position_loops(controllers) if each.force is not None}
-
-
-def reel_loops(controllers: Iterable[ControllerConfig]) -> list[ReelControlConfig]:
-    """Controllers of the tension next to a reel by its torque."""
-    return [each for each in controllers if isinstance(each, ReelControlConfig)]
+    return {each.station: each.force for each in loops_of(PositionControlConfig, controllers) if each.force is not None}
 
 
 def reel_axes(machine: ModelParameters) -> dict[str, int]:
     """The axis of each reel, by its name."""
-    found = {}
-    for roller in machine.line_rollers:
-        if isinstance(roller.station, Reel) and roller.axis is not None:
-            found[reel_name(roller.station)] = roller.axis
-    return found
+    return {
+        reel_name(roller.station): roller.axis
+        for roller in machine.line_rollers
+        if isinstance(roller.station, Reel) and roller.axis is not None
+    }
 
 
 def span_beside_reel(machine: ModelParameters, axis: int) -> int:
@@ -220,16 +209,16 @@ def span_beside_reel(machine: ModelParameters, axis: int) -> int:
 
 def torqued_reels(machine: ModelParameters, controllers: Iterable[ControllerConfig]) -> dict[int, ReelControlConfig]:
     """The controllers of reels in torque mode by the axis of the reel."""
-    axes = reel_axes(machine)
-    return {axes[control.reel]: control for control in sorted(reel_loops(controllers), key=lambda it: axes[it.reel])}
+    axes, found = reel_axes(machine), loops_of(ReelControlConfig, controllers)
+    return {axes[control.reel]: control for control in sorted(found, key=lambda each: axes[each.reel])}
 
 
 def set_point_controls(
     machine: ModelParameters, controllers: Collection[ControllerConfig]
 ) -> dict[int, TensionControlConfig | ReelControlConfig]:
     """The controllers of tensions, by speeds or torques, by the span whose tension they keep, in the order of these."""
-    by_speeds = {control.span: control for control in tension_loops(controllers)}
-    reels = torqued_reels(machine, controllers) if reel_loops(controllers) else {}
+    by_speeds = {control.span: control for control in loops_of(TensionControlConfig, controllers)}
+    reels = torqued_reels(machine, controllers) if loops_of(ReelControlConfig, controllers) else {}
     by_torques = {span_beside_reel(machine, axis): control for axis, control in reels.items()}
     kept: dict[int, TensionControlConfig | ReelControlConfig] = {**by_speeds, **by_torques}
     return {span: kept[span] for span in sorted(kept)}
@@ -237,8 +226,8 @@ def set_point_controls(
 
 def controller_misfits(controllers: Collection[ControllerConfig], count: int) -> Iterator[str]:
     """Why these can't be the controllers of a line of so many spans."""
-    tensions = tension_loops(controllers)
-    if controllers and not tensions and not reel_loops(controllers):
+    tensions = loops_of(TensionControlConfig, controllers)
+    if controllers and not tensions and not loops_of(ReelControlConfig, controllers):
         yield "at least one of a tension (kind: tension or reel)"
     yield from _each_once([control.span for control in tensions], count, "one axis can keep one tension")
 
@@ -293,7 +282,7 @@ def rest_misfit(
                 f"'load: {{measured: [{', '.join(of_sections)}]}}' with 'web_at_rest: unknown', not without {unseen[0]}"
             )
         return None
-    asked = any(control.probes.at_rest_mm for control in tension_loops(controllers))
+    asked = any(control.probes.at_rest_mm for control in loops_of(TensionControlConfig, controllers))
     return _untold_misfit("'at_rest_mm'" if asked else "", twin.by_span(machine.span_count), machine.span_count)
 
 
@@ -329,9 +318,9 @@ def _loops_misfit(
     a sensor."""
     given = list(controllers)
     carriages = {carriage.station.name: carriage for carriage in machine.carriages}
-    before, tensions = axes_before_spans(machine), tension_loops(given)
+    before, tensions = axes_before_spans(machine), loops_of(TensionControlConfig, given)
     sections = [before[control.span - 1] for control in tensions]
-    for control in position_loops(given):
+    for control in loops_of(PositionControlConfig, given):
         carriage = carriages.get(control.station)
         if carriage is None:
             known = ", ".join(carriages) or "none here"
@@ -348,7 +337,7 @@ def _loops_misfit(
             return misfit
         sections.append(before[carriage.first_span - 1])
     axes = reel_axes(machine)
-    for torqued in reel_loops(given):
+    for torqued in loops_of(ReelControlConfig, given):
         if torqued.reel not in axes:
             return f"a reel in torque mode ({', '.join(axes) or 'none here'}), '{torqued.reel}' is none"
         cells = [cell for cell in load_cells(machine) if cell in measured]
@@ -397,7 +386,8 @@ def _stations_misfit(
         return "'stations' that begin and end with a driven roller or reel"
     if ahead:
         return f"no '{ahead}' on a line with 'stations:', or {ONLY_DRIVEN}"
-    if any(control.probes.mode != "off" or control.probes.at_rest_mm for control in tension_loops(controllers)):
+    probes = [control.probes for control in loops_of(TensionControlConfig, controllers)]
+    if any(probing.mode != "off" or probing.at_rest_mm for probing in probes):
         return f"no 'probing' on a line with 'stations:', or {ONLY_DRIVEN}"
     twice = [name for name in station_names(machine) if name in names]
     return f"names that differ: a station and another part are both named {twice[0]}" if twice else None

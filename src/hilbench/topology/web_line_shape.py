@@ -12,13 +12,14 @@ from hilbench.plant.web_line.stations import Idler, Reel, reel_name
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_config import (
     ControllerConfig,
+    PositionControlConfig,
+    ReelControlConfig,
+    TensionControlConfig,
     forces_ahead,
     load_cells,
-    position_loops,
+    loops_of,
     reel_axes,
-    reel_loops,
     span_beside_reel,
-    tension_loops,
 )
 
 
@@ -31,12 +32,12 @@ def web_line_shape(
 ) -> Shape:
     """Shape of a line with these load motors, this twin, these controllers, and sensors of these stations."""
     given = tuple(controllers)
-    controlled = tuple(sorted(each.span for each in tension_loops(given)))
+    controlled = tuple(sorted(each.span for each in loops_of(TensionControlConfig, given)))
     if machine.stations is None:
         spans = machine.span_count
         return Shape(machine.axis_count, load_motors, spans, tuple(twin.by_span(spans)), controlled)
-    positioned = tuple(each.station for each in position_loops(given))
-    torqued = tuple(sorted(reel_axes(machine).get(each.reel, 1) for each in reel_loops(given)))
+    positioned = tuple(each.station for each in loops_of(PositionControlConfig, given))
+    torqued = tuple(sorted(reel_axes(machine).get(each.reel, 1) for each in loops_of(ReelControlConfig, given)))
     controlled = tuple(sorted({*controlled, *(span_beside_reel(machine, axis) for axis in torqued)}))
     shape = _with_stations(machine, load_motors, controlled, torqued, measured)
     return replace(shape, positioned=positioned, pushed=tuple(forces_ahead(given)))

@@ -7,8 +7,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from math import inf, nan, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,6 +22,7 @@ from hilbench.apps.cli.options import (
     ForceOption,
     JsonOption,
     NodeArgument,
+    key_and_number,
     print_json,
 )
 from hilbench.errors import UnusableInputError
@@ -128,65 +129,6 @@ def drive(
     """
     if value is not None and action not in (*_UNITS, Action.HOME):
         raise UnusableInputError("VALUE", f"'{value}' with {action}, expected none")
-    given = _given_units(units or [])
-    with _drive(node, axis, config, bus, eds, timeout, action, given, force=force) as by_hand:
-        manual = by_hand.drive
-        if action is Action.ENABLE:
-            manual.enable()
-        elif action is Action.DISABLE:
-            manual.disable()
-        elif action is Action.RESET:
-            manual.reset()
-        elif action is not Action.STATUS:
-            _set_in_motion(by_hand, _Wanted(action, value, speed, relative, duration))
-        _print(by_hand, as_json=json)
-
-
-@dataclass(frozen=True)
-class _Wanted:
-    """A motion as it was asked for."""
-
-    action: Action
-    value: str | None
-    speed_rad_s: float
-    relative: bool
-    duration_s: float | None
-
-    def quantity(self, own_unit: float) -> float:
-        """VALUE in SI; `own_unit`: what one unit of the drive is. Raises UnusableInputError."""
-        known = {**_UNITS[self.action], "units": own_unit}
-        match = _QUANTITY.match(self.value or "")
-        if match is None or match[2] not in known:
-            found = "missing" if self.value is None else f"'{self.value}'"
-            raise UnusableInputError(
-                "VALUE", f'{found}, expected a number with {", ".join(known)}, e.g. "{_EXAMPLES[self.action]}"'
-            )
-        return float(match[1]) * known[match[2]]
-
-    @property
-    def method(self) -> int | None:
-        """VALUE as a homing method. Raises UnusableInputError."""
-        if self.value is None:
-            return None
-        try:
-            return int(self.value, 0)
-        except ValueError:
-            raise UnusableInputError("VALUE", f"'{self.value}', expected a homing method (6098h), e.g. 35") from None
-
-
-@contextmanager
-def _drive(
-    node: str,
-    axis: int | None,
-    config: Path | None,
-    bus: str | None,
-    eds: Path,
-    time_out_s: float,
-    action: Action,
-    given: Mapping[str, float],
-    *,
-    force: bool,
-) -> Iterator[SetUpDrive]:
     from hilbench.apps.canopen_tools.attach import MASTER_ID, BusSession, drive_on_node, node_on_bus
     from hilbench.can.frame import Frame
     from hilbench.canopen.identifiers import COB_ID, HEARTBEAT, NMT, NmtState
@@ -195,6 +137,7 @@ def _drive(
     from hilbench.cia402.set_up import SetUpDrive
     from hilbench.processes import end_requests
 
+    given = _given_units(units or [])
     with BusSession(config, bus) as on:
         bench = on.bench
         node, of_node = drive_on_node(node, bench, axis)
@@ -211,32 +154,47 @@ def _drive(
         link.set_filters([(NMT, COB_ID)])  # nothing is received here: NMT commands are for the devices
         master = on.known(node_id, name, od)[0]
         of_config = {} if bench is None else bench.units_of(node_id, of_node)
-        units, without = _units(master, node_id, od, {**of_config, **given}, name, of_node)
+        of_drive, without = _units(master, node_id, od, {**of_config, **given}, name, of_node)
 
-        def heartbeat() -> None:
-            # Not as operational: that is a master whose SYNC will go on, for which simulated drives hold their time.
-            link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.PRE_OPERATIONAL.heartbeat)])
+        end_if_requested, next_s = on.enter_context(end_requests()), 0.0
+
+        def alive() -> None:
+            """Send this program's heartbeat when it is due. Raises KeyboardInterrupt once it is asked to end."""
+            nonlocal next_s
+            end_if_requested()
+            if time.monotonic() >= next_s:
+                next_s = time.monotonic() + _HEARTBEAT_S
+                # Not as operational: that is a master whose SYNC will go on, for which simulated drives hold their
+                # time.
+                link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.PRE_OPERATIONAL.heartbeat)])
 
         file = eds.name if bench is None and eds.is_file() else "its EDS file"
-        alive = _Alive(heartbeat, on.enter_context(end_requests()))
-        manual = ManualDrive(master, node_id, name, units, time_out_s, alive, of_node)
-        yield SetUpDrive(manual, file, units, _allowed(bench), without_units=without, time_out_s=time_out_s)
+        manual = ManualDrive(master, node_id, name, of_drive, timeout, alive, of_node)
+        by_hand = SetUpDrive(manual, file, of_drive, _allowed(bench), without_units=without, time_out_s=timeout)
+        if action in (Action.ENABLE, Action.DISABLE, Action.RESET):
+            getattr(manual, action)()
+        elif action is not Action.STATUS:
+            _until_done(manual, _motion(by_hand, action, value, speed, relative, inf if duration is None else duration))
+        _print(by_hand, as_json=json)
 
 
-class _Alive:
-    """Sends this program's heartbeat when it is due; called often, and never within an SDO transfer."""
+def _quantity(action: Action, value: str | None, own_unit: float) -> float:
+    """VALUE in SI; `own_unit`: what one unit of the drive is. Raises UnusableInputError."""
+    known = {**_UNITS[action], "units": own_unit}
+    match = _QUANTITY.match(value or "")
+    if match is None or match[2] not in known:
+        found = "missing" if value is None else f"'{value}'"
+        expected = f'expected a number with {", ".join(known)}, e.g. "{_EXAMPLES[action]}"'
+        raise UnusableInputError("VALUE", f"{found}, {expected}")
+    return float(match[1]) * known[match[2]]
 
-    def __init__(self, heartbeat: Callable[[], None], end_if_requested: Callable[[], None]) -> None:
-        self._heartbeat = heartbeat
-        self._end_if_requested = end_if_requested
-        self._next_s = 0.0
 
-    def __call__(self) -> None:
-        """Send it, if it is due. Raises KeyboardInterrupt once the program is asked to end, a single time."""
-        self._end_if_requested()
-        if time.monotonic() >= self._next_s:
-            self._next_s = time.monotonic() + _HEARTBEAT_S
-            self._heartbeat()
+def _method(value: str | None) -> int | None:
+    """VALUE as a homing method. Raises UnusableInputError."""
+    try:
+        return None if value is None else int(value, 0)
+    except ValueError:
+        raise UnusableInputError("VALUE", f"'{value}', expected a homing method (6098h), e.g. 35") from None
 
 
 def _units(
@@ -257,16 +215,11 @@ def _units(
 
 def _given_units(texts: Sequence[str]) -> dict[str, float]:
     """Of --units. Raises UnusableInputError."""
-    found = {}
-    for text in texts:
-        key, _, number = text.partition("=")
-        try:
-            found[key] = float(number)
-        except ValueError:
-            found[key] = nan
-        if key not in ("position_rad", "velocity_rad_s", "rated_torque_Nm") or not 0.0 < found[key] < inf:
-            expected = "position_rad, velocity_rad_s or rated_torque_Nm, and a number above 0: velocity_rad_s=0.10472"
-            raise UnusableInputError("--units", f"'{text}', expected {expected}")
+    expected = "position_rad, velocity_rad_s or rated_torque_Nm, and a number above 0: velocity_rad_s=0.10472"
+    found = dict(key_and_number("--units", text, expected) for text in texts)
+    for key, number in found.items():
+        if key not in ("position_rad", "velocity_rad_s", "rated_torque_Nm") or number <= 0.0:
+            raise UnusableInputError("--units", f"'{key}={number:g}', expected {expected}")
     return found
 
 
@@ -278,40 +231,35 @@ def _allowed(bench: ExperimentConfig | None) -> Limits:
         return Limits()
     limits = bench.safety.limits
     speed = limits.speed_rad_s.trip if bench.machine.position_unit == "rad" else None
-    torque = limits.torque_Nm.trip
-    return Limits(
-        speed_rad_s=inf if speed is None else speed,
-        torque_Nm=inf if torque is None else torque,
-        speed_by="safety: limits: speed_rad_s",
-        torque_by="safety: limits: torque_Nm",
-    )
+    speed_rad_s, torque_Nm = (inf if each is None else each for each in (speed, limits.torque_Nm.trip))
+    names = (f"safety: limits: {name}" for name in ("speed_rad_s", "torque_Nm"))
+    return Limits((-inf, inf), speed_rad_s, torque_Nm, *names)
 
 
-def _set_in_motion(by_hand: SetUpDrive, wanted: _Wanted) -> None:
-    """Until it is done; the drive is without power afterwards, by a quick stop if something ended it early."""
-    from hilbench.apps.canopen_tools.attach import MASTER_ID
+def _motion(
+    by_hand: SetUpDrive, action: Action, value: str | None, speed_rad_s: float, relative: bool, duration_s: float
+) -> Callable[[], object]:
+    """What was asked for, of a drive that can do it. Raises UnusableInputError."""
     from hilbench.cia402.objects import OperationMode
 
     modes = {Action.MOVE: OperationMode.PROFILE_POSITION, Action.HOME: OperationMode.HOMING}
     modes[Action.TORQUE] = OperationMode.TORQUE
-    units = by_hand.needs(modes.get(wanted.action, OperationMode.PROFILE_VELOCITY))
-    duration_s = inf if wanted.duration_s is None else wanted.duration_s
-    motion: Callable[[], object]
-    if wanted.action is Action.MOVE:
-        target = wanted.quantity(units.position_rad)
-        motion = lambda: by_hand.move(target, wanted.speed_rad_s, relative=wanted.relative)  # noqa: E731
-    elif wanted.action is Action.HOME:
-        method = wanted.method
-        motion = lambda: by_hand.home(method)  # noqa: E731
-    elif wanted.action is Action.VELOCITY:
-        velocity = wanted.quantity(units.velocity_rad_s)
-        motion = lambda: by_hand.turn(velocity, duration_s)  # noqa: E731
-    elif wanted.action is Action.TORQUE:
-        torque = wanted.quantity(units.torque_Nm)
-        motion = lambda: by_hand.push(torque, duration_s, wanted.speed_rad_s)  # noqa: E731
-    else:
-        motion = lambda: _jog(by_hand.drive, wanted.speed_rad_s)  # noqa: E731
-    manual = by_hand.drive
+    units = by_hand.needs(modes.get(action, OperationMode.PROFILE_VELOCITY))
+    match action:
+        case Action.MOVE:
+            return partial(by_hand.move, _quantity(action, value, units.position_rad), speed_rad_s, relative=relative)
+        case Action.HOME:
+            return partial(by_hand.home, _method(value))
+        case Action.VELOCITY:
+            return partial(by_hand.turn, _quantity(action, value, units.velocity_rad_s), duration_s)
+        case Action.TORQUE:
+            return partial(by_hand.push, _quantity(action, value, units.torque_Nm), duration_s, speed_rad_s)
+    return partial(_jog, by_hand.drive, speed_rad_s)
+
+
+def _until_done(manual: ManualDrive, motion: Callable[[], object]) -> None:
+    """The drive is without power afterwards, by a quick stop if something ended it early."""
+    from hilbench.apps.canopen_tools.attach import MASTER_ID
 
     # The drive watches from the first heartbeat on: from before the first motion until the power stage is off.
     with manual.watching(MASTER_ID, _HEARTBEAT_TIME_OUT_MS):

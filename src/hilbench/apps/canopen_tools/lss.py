@@ -132,11 +132,10 @@ def _only_unconfigured(master: LssMaster, address: BusAddress) -> Identity:
 def _bit_rate_index(kbit_s: int) -> int:
     from hilbench.canopen.lss_slave import BIT_RATES
 
-    for index, rate in BIT_RATES.items():
-        if rate == 1000 * kbit_s:
-            return index
-    rates = ", ".join(f"{rate // 1000}" for rate in sorted(BIT_RATES.values()))
-    raise UnusableInputError("--bit-rate", f"{kbit_s} kbit/s, expected one of {rates}")
+    known = {rate // 1000: index for index, rate in BIT_RATES.items()}
+    if kbit_s not in known:
+        raise UnusableInputError("--bit-rate", f"{kbit_s} kbit/s, expected one of {', '.join(map(str, sorted(known)))}")
+    return known[kbit_s]
 
 
 def _identity(text: str) -> Identity:

@@ -120,23 +120,23 @@ def _as_data(found: Scan, bench: ExperimentConfig | None, problems: list[str]) -
 
 def _show(found: Scan, bench: ExperimentConfig | None, problems: list[str], bus: str) -> None:
     from rich.console import Console
-    from rich.table import Table
+
+    from hilbench.apps.cli.tables import table
 
     console, parts = Console(highlight=False), _parts(bench)
-    table = Table(title=f"{len(found.stations)} nodes on {bus}", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    for column in ("node", "NMT state", "drive", "device", "firmware", "EDS"):
-        table.add_column(column, overflow="fold", no_wrap=column == "node")
-    for station in found.stations:
-        part = parts.get(station.node_id)
-        table.add_row(
-            f"{station.node_id}" + (f" {part}" if part else ""),
+    rows = [
+        (
+            f"{station.node_id} {parts.get(station.node_id, '')}".rstrip(),
             station.nmt_state or "-",
             station.drive_state or "-",
             _device(station),
             station.firmware or _hex(station.identity[2]),
             "-" if station.eds is None else station.eds.name + ("" if station.eds_of_revision else " (other revision)"),
         )
-    console.print(table)
+        for station in found.stations
+    ]
+    columns = ("node", "NMT state", "drive", "device", "firmware", "EDS")
+    console.print(table(columns, rows, ("node",), title=f"{len(found.stations)} nodes on {bus}"))
     if found.waited_s:
         console.print(f"all node ids were asked, sixteen at a time; each had {found.waited_s:.2f} s to answer")
     if found.master_at_work:

@@ -224,11 +224,9 @@ def _index(name: str) -> tuple[int, int] | None:
 def _has(od: Any, index: int, sub: int) -> bool:
     from hilbench.canopen import eds as eds_files
 
-    try:
-        eds_files.variable(od, index, sub)
-    except KeyError:
-        return False
-    return True
+    with suppress(KeyError):
+        return eds_files.variable(od, index, sub) is not None
+    return False
 
 
 def _variable(od: Any, name: str) -> ODVariable:

@@ -206,16 +206,13 @@ def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
 
 def _show(found: Sequence[Difference], first: str, second: str) -> None:
     from rich.console import Console
-    from rich.table import Table
+
+    from hilbench.apps.cli.tables import table
 
     console = Console(highlight=False)
     if not found:
         console.print(f"{first} and {second} have the same settings", markup=False)
         return
     title = "1 object differs" if len(found) == 1 else f"{len(found)} objects differ"
-    table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))
-    for column in ("object", first, second):
-        table.add_column(column, overflow="fold")
-    for row in found:
-        table.add_row(row.name, row.first or "-", row.second or "-")
-    console.print(table)
+    rows = [(row.name, row.first or "-", row.second or "-") for row in found]
+    console.print(table(("object", first, second), rows, title=title))

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
+
+from hilbench.errors import UnusableInputError
 
 ConfigArgument = Annotated[Path, Argument(metavar="CONFIG", help="bench config (YAML)")]
 ConfigOption = Annotated[
@@ -27,6 +31,10 @@ SetOption = Annotated[
     list[str] | None,
     Option("--set", metavar="KEY=VALUE", help="another value in the config, e.g. machine.web.width_m=0.6; repeatable"),
 ]
+ModelOption = Annotated[
+    Path | None,
+    Option("--model", help="model file, or a bench config with the model in it (YAML); a bench has its own"),
+]
 JsonOption = Annotated[bool, Option("--json", help="print JSON on standard output, nothing else")]
 EdsOption = Annotated[
     Path, Option("--eds", help="EDS file, or folder in which that of the device is found by its identity")
@@ -39,6 +47,15 @@ ForceOption = Annotated[
 SDO_TIMEOUT_S = 1.0
 TimeoutOption = Annotated[float, Option("--timeout", metavar="S", min=0.01, help="for the answer to each SDO request")]
 RunArgument = Annotated[Path, Argument(metavar="RUN", help="run folder")]
+
+
+def key_and_number(option: str, text: str, expected: str) -> tuple[str, float]:
+    """What ``KEY=NUMBER`` says. Raises UnusableInputError for another text, or a number that is not finite."""
+    key, _, number = text.partition("=")
+    with suppress(ValueError):
+        if key.strip() and isfinite(value := float(number)):
+            return key.strip(), value
+    raise UnusableInputError(option, f"'{text}', expected {expected}")
 
 
 def print_json(data: object, *, ensure_ascii: bool = True) -> None:

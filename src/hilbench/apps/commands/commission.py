@@ -23,10 +23,7 @@ from hilbench.errors import EXIT_INTERRUPTED, UnusableInputError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from hilbench.apps.cli.progress import ProgressDisplay
     from hilbench.diagnosis.commissioning import Commissioned
-    from hilbench.results.run_folder import RunFolder
-    from hilbench.runs.config import LoadedConfig
 
 #: Columns that the table needs; a narrower terminal wraps whole lines.
 _WIDTH: Final = 120
@@ -80,6 +77,12 @@ def commission(
 
     from hilbench.apps.cli.progress import ProgressDisplay
     from hilbench.apps.history.entries import keep_commissioning
+    from hilbench.bench.lifecycle.participants import Participants
+    from hilbench.diagnosis.bench_gap import completed
+    from hilbench.diagnosis.commissioning import commissioned
+    from hilbench.diagnosis.emulated import emulation_of
+    from hilbench.results.recording import read_recording
+    from hilbench.results.run import run_experiment
     from hilbench.runs.commissioning import commissioning_plan
     from hilbench.topology.parts import Role
 
@@ -99,14 +102,20 @@ def commission(
             raise typer.Exit(EXIT_INTERRUPTED)
     experiment = {"steps": plan.steps, "criteria": [], "name": f"{loaded.config.name}_commissioning"}
     with ProgressDisplay(Console(stderr=True, highlight=False), quiet=json) as progress:
-        folder, found = _measured(
-            type(loaded)(loaded.config.model_copy(update=experiment), loaded.document),
+        observer, announce = progress.of_run("run", 0.0)
+        bench = loaded.config.model_copy(update=experiment)
+        outcome = run_experiment(
+            type(loaded)(bench, loaded.document),
             out,
-            progress,
-            known_pct,
-            in_process=in_process,
+            observers=[observer],
+            participants=Participants.IN_PROCESS if in_process else Participants.STARTED,
+            announce=announce,
             force=force,
         )
+        folder, errors = completed(outcome).folder, bench.twin.model_errors
+        progress.announce("fit the recording", 0.5)
+        recording, emulation = read_recording(folder.recording), emulation_of(bench)
+        found = commissioned(recording, bench.machine, folder.recording, emulation, errors, known_pct)
     quantities = keep_commissioning(folder, found)
     if json:
         data = {"stand": loaded.config.stand, "run": str(folder.path.resolve()), "plan": plan.text}
@@ -118,40 +127,15 @@ def commission(
     console.print(f"in the history of {loaded.config.stand}; run: {folder.path}", soft_wrap=True, markup=False)
 
 
-def _measured(
-    loaded: LoadedConfig, out: Path, progress: ProgressDisplay, known_pct: float, *, in_process: bool, force: bool
-) -> tuple[RunFolder, list[Commissioned]]:
-    """Run the plan and fit its recording. Raises as `hilbench.diagnosis.bench_gap.run_bench`."""
-    from hilbench.bench.lifecycle.participants import Participants
-    from hilbench.diagnosis.bench_gap import completed
-    from hilbench.diagnosis.commissioning import commissioned
-    from hilbench.diagnosis.emulated import emulation_of
-    from hilbench.results.recording import read_recording
-    from hilbench.results.run import run_experiment
-
-    observer, announce = progress.of_run("run", 0.0)
-    participants = Participants.IN_PROCESS if in_process else Participants.STARTED
-    outcome = run_experiment(
-        loaded, out, observers=[observer], participants=participants, announce=announce, force=force
-    )
-    folder, config = completed(outcome).folder, loaded.config
-    progress.announce("fit the recording", 0.5)
-    recording, emulation = read_recording(folder.recording), emulation_of(config)
-    errors = config.twin.model_errors
-    return folder, commissioned(recording, config.machine, folder.recording, emulation, errors, known_pct)
-
-
 def _table(found: list[Commissioned]) -> Table:
-    from rich.table import Table
-
+    from hilbench.apps.cli.tables import table
     from hilbench.diagnosis.commissioning import MEASURED
 
-    shown = Table(title_justify="left", caption="with what the model has already", caption_justify="left")
-    for column in ("", "axis", "value", "± 95 %", "unit", "tied with"):
-        shown.add_column(column, justify="right" if column in ("value", "± 95 %") else "left", no_wrap=column == "")
+    rows = []
     for one in sorted(found, key=lambda one: (one.axis or 0, list(MEASURED).index(one.effect))):
         name = MEASURED[one.effect] + ("" if one.order is None else f", {one.order:.4g} per motor turn")
         place = str(one.axis or "") if one.section is None else f"span {one.section}"
         half = f"{_NORMAL_95 * one.deviation:.2g}"
-        shown.add_row(name, place, f"{one.value:.4g}", half, one.unit, ", ".join(one.tied_with))
-    return shown
+        rows.append((name, place, f"{one.value:.4g}", half, one.unit, ", ".join(one.tied_with)))
+    columns, caption = ("", "axis", ">value", ">± 95 %", "unit", "tied with"), "with what the model has already"
+    return table(columns, rows, ("",), framed=True, caption=caption, caption_justify="left")

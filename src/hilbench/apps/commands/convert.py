@@ -41,7 +41,7 @@ def convert(
     from hilbench.results.trace_files import FORMATS, convert_trace
 
     for read in (source, columns):
-        if read is not None and _is_same_file(read, target):
+        if read is not None and read.exists() and target.exists() and read.samefile(target):  # by any path, or link
             raise UnusableInputError(target, f"is what is read ({read}), expected another file to write")
     if source.suffix.lower() in FORMATS and columns is None:
         count = convert_trace(source, target, lambda text: report(source, text), allow_loss=allow_loss)
@@ -64,11 +64,6 @@ def convert(
     else:
         write_recording(recording, target)
     print(f"{target}: {len(recording)} samples of {len(recording.channels)} channels")
-
-
-def _is_same_file(one: Path, other: Path) -> bool:
-    """Also by another path, through a link of either kind."""
-    return one.exists() and other.exists() and one.samefile(other)
 
 
 def dbc(

@@ -32,13 +32,9 @@ def examples(
         print(copy(name, Path())[0])
     if not wanted:
         from rich.console import Console
-        from rich.table import Table
 
         from hilbench import strict_yaml
+        from hilbench.apps.cli.tables import table
 
-        table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-        table.add_column(no_wrap=True)
-        table.add_column()
-        for name in known():
-            table.add_row(name, strict_yaml.load(config_of(name)).data.get("description", ""))
-        Console(highlight=False).print(table)
+        rows = [(name, strict_yaml.load(config_of(name)).data.get("description", "")) for name in known()]
+        Console(highlight=False).print(table(("name", "description"), rows, ("name",), show_header=False))

@@ -14,6 +14,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from hilbench.apps.cli.tables import table
 from hilbench.apps.report.panel import panels_of
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -193,10 +194,7 @@ class Progress:
         ]
 
     def _table(self, sample: CycleSample) -> Table:
-        table = Table(show_header=False, box=None, title=self._phase, title_justify="left")
-        for name, value in self._rows(sample):
-            table.add_row(name, value)
-        return table
+        return table(("name", "value"), self._rows(sample), show_header=False, padding=(0, 1), title=self._phase)
 
 
 def show_outcome(console: Console, outcome: RunOutcome) -> None:
@@ -230,8 +228,7 @@ def _show_criteria(console: Console, result: Result) -> None:
         console.print(_criteria_table(rows))
     for row in rows:
         if row.reason:
-            line = f"[{_COLOURS[row.verdict]}]{row.verdict}[/] {escape(row.name)}: {escape(row.reason)}"
-            console.print(line, soft_wrap=True)
+            console.print(f"{_marked(row.verdict)} {escape(row.name)}: {escape(row.reason)}", soft_wrap=True)
     if left_out:
         some = f"{len(left_out)} of {len(result.criteria)} criteria"
         console.print(f"[red]error[/red] {some} could not be judged: the run ended by the fault below", soft_wrap=True)
@@ -247,15 +244,15 @@ def _steps_table(steps: list[StepRecord]) -> Table:
     shown = steps[:_MOST_STEPS]
     left_out = f", the first {_MOST_STEPS} of {len(steps)}" if len(steps) > _MOST_STEPS else ""
     unknown = any(metric in step.reasons for step in shown for _, metric in of_steps)
-    table = Table(title=f"Steps{left_out}", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    if unknown:
-        table.caption, table.caption_justify = "?: never, or not judged; result.json and the report say why", "left"
-    for heading in ("", "at, s", "step", *(heading for heading, _ in of_steps)):
-        table.add_column(heading, justify="left" if heading == "step" else "right", no_wrap=heading != "step")
-    for step in shown:
-        figures = (_figure(step, metric) for _, metric in of_steps)
-        table.add_row(str(step.number), f"{step.time_s:.3f}", escape(step.text), *figures)
-    return table
+    caption = "?: never, or not judged; result.json and the report say why" if unknown else None
+    figures = [f">{heading}" for heading, _ in of_steps]
+    rows = [
+        (f"{step.number}", f"{step.time_s:.3f}", escape(step.text), *(_figure(step, metric) for _, metric in of_steps))
+        for step in shown
+    ]
+    whole = (">", ">at, s", *figures)
+    columns = (">", ">at, s", "step", *figures)
+    return table(columns, rows, whole, title=f"Steps{left_out}", caption=caption, caption_justify="left")
 
 
 def _figure(step: StepRecord, metric: str) -> str:
@@ -283,12 +280,12 @@ def _timing_line(timing: Timing) -> str:
 
 
 def _criteria_table(rows: Sequence[CriterionResult]) -> Table:
-    table = Table(title="Criteria", title_justify="left")
-    for heading in ("criterion", "value", "limit", "unit", ""):
-        table.add_column(heading, justify="right" if heading == "value" else "left")
-    for row in rows:
-        value = "-" if row.value is None else f"{row.value:.6g}"
-        colour = _COLOURS[row.verdict]
-        mark = f"[{colour}]{row.verdict}[/{colour}]"
-        table.add_row(row.name, value, str(row.limit), row.unit, mark)
-    return table
+    cells = [
+        (row.name, "-" if row.value is None else f"{row.value:.6g}", str(row.limit), row.unit, _marked(row.verdict))
+        for row in rows
+    ]
+    return table(("criterion", ">value", "limit", "unit", ""), cells, framed=True, title="Criteria")
+
+
+def _marked(verdict: str) -> str:
+    return f"[{_COLOURS[verdict]}]{verdict}[/]"

@@ -34,19 +34,14 @@ def compare(
         print_json({"runs": names, "metrics": [asdict(row) for row in rows]})
         return
     from rich.console import Console
-    from rich.table import Table
+
+    from hilbench.apps.cli.tables import table
 
     console, letters = Console(highlight=False), labels(found)
     for letter, run in zip(letters, found, strict=True):
         console.print(f"{letter}  {run.name}  {run.verdict}", soft_wrap=True)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    table.add_column("metric")
-    for heading in (*letters, *(f"{letter} − A" for letter in letters[1:])):
-        table.add_column(heading, justify="right")
-    table.add_column("unit")
-    for row in rows:
-        cells = ["-" if value is None else f"{value:.5g}" for value in (*row.values, *row.differences)]
-        table.add_row(row.metric, *cells, row.unit)
-    console.print(table)
+    columns = ("metric", *(f">{letter}" for letter in letters), *(f">{letter} − A" for letter in letters[1:]), "unit")
+    cells = [["-" if value is None else f"{value:.5g}" for value in (*row.values, *row.differences)] for row in rows]
+    console.print(table(columns, [(row.metric, *of_row, row.unit) for row, of_row in zip(rows, cells, strict=True)]))
     if out is not None:
         console.print(f"page: {out}", soft_wrap=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,9 +55,30 @@ def conformance(
     """
     from rich.console import Console
 
+    from hilbench.apps.canopen_tools.attach import BusSession
+    from hilbench.apps.conformance.description import Description
+    from hilbench.apps.conformance.dut import Allowed, DeviceUnderTest, Patience
+    from hilbench.apps.conformance.examine import examine
+    from hilbench.apps.conformance.listing import listed_cases
+    from hilbench.apps.conformance.record import Examination
     from hilbench.apps.conformance.reports import write_junit
+    from hilbench.apps.conformance.wire import LinkWire
+    from hilbench.processes import end_requests
 
-    examination = _examined(bus, node, eds, allow_motion, allow_store, only or [], boot, force, quiet=json)
+    groups = list(dict.fromkeys(case.group for case in listed_cases()))
+    unknown = [name for name in only or () if name not in groups]
+    if unknown:
+        raise UnusableInputError("--only", f"'{unknown[0]}', expected one of {', '.join(groups)}")
+    description = Description(eds, node)
+    display = _Display(Console(highlight=False), only or groups, quiet=json)
+    with BusSession(None, bus) as on:
+        on.be_only_master(f"conformance of node {node}", force=force)
+        wire = LinkWire(on.link(), on.enter_context(end_requests()))
+        allowed = Allowed(allow_motion, allow_store)
+        dut = DeviceUnderTest(wire, node, description, allowed, Patience(boot_s=boot))
+        cases = examine(dut, only or (), display.on_result)
+    name = description.od.device_information.product_name or eds.stem
+    examination = Examination(name, node, str(on.bus), eds.name, cases)
     if junit is not None:
         write_junit(examination, junit)
     if html is not None:
@@ -64,48 +86,11 @@ def conformance(
 
         write_conformance_page(examination, html)
     if json:
-        print_json(_as_data(examination))
+        counts = {str(verdict): count for verdict, count in examination.counts.items()}
+        print_json({**vars(examination), "counts": counts, "cases": list(map(asdict, examination.cases))})
     else:
         _sum_up(Console(highlight=False), examination, [path for path in (junit, html) if path is not None])
     raise typer.Exit(EXIT_CRITERION_FAILED if examination.failed else EXIT_PASSED)
-
-
-def _examined(
-    bus: str,
-    node: int,
-    eds: Path,
-    motion: bool,
-    store: bool,
-    only: list[str],
-    boot_s: float,
-    force: bool,
-    *,
-    quiet: bool,
-) -> Examination:
-    from rich.console import Console
-
-    from hilbench.apps.canopen_tools.attach import BusSession
-    from hilbench.apps.conformance.description import Description
-    from hilbench.apps.conformance.dut import Allowed, DeviceUnderTest, Patience
-    from hilbench.apps.conformance.examine import examine
-    from hilbench.apps.conformance.listing import listed_cases
-    from hilbench.apps.conformance.record import Examination
-    from hilbench.apps.conformance.wire import LinkWire
-    from hilbench.processes import end_requests
-
-    groups = list(dict.fromkeys(case.group for case in listed_cases()))
-    unknown = [name for name in only if name not in groups]
-    if unknown:
-        raise UnusableInputError("--only", f"'{unknown[0]}', expected one of {', '.join(groups)}")
-    description = Description(eds, node)
-    display = _Display(Console(highlight=False), only or groups, quiet=quiet)
-    with BusSession(None, bus) as on:
-        on.be_only_master(f"conformance of node {node}", force=force)
-        wire = LinkWire(on.link(), on.enter_context(end_requests()))
-        dut = DeviceUnderTest(wire, node, description, Allowed(motion, store), Patience(boot_s=boot_s))
-        cases = examine(dut, only, display.on_result)
-    name = description.od.device_information.product_name or eds.stem
-    return Examination(name, node, str(on.bus), eds.name, cases)
 
 
 class _Display:
@@ -167,16 +152,3 @@ def _sum_up(console: Console, examination: Examination, written: list[Path]) -> 
         console.print(f"more with {' and '.join(sorted(refused))}", soft_wrap=True)
     for path in written:
         console.print(escape(str(path)), soft_wrap=True)
-
-
-def _as_data(examination: Examination) -> dict[str, object]:
-    from dataclasses import asdict
-
-    return {
-        "device": examination.device,
-        "node_id": examination.node_id,
-        "bus": examination.bus,
-        "eds": examination.eds,
-        "counts": {str(verdict): count for verdict, count in examination.counts.items()},
-        "cases": [asdict(case) for case in examination.cases],
-    }

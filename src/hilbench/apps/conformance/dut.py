@@ -29,7 +29,7 @@ from hilbench.canopen.identifiers import (
     NmtState,
     node_of,
 )
-from hilbench.canopen.sdo_client import Answer, Refusal
+from hilbench.canopen.sdo_client import Answer, Refusal, SdoAbortedError, SdoCommunicationError, Transfers
 
 #: Heartbeat period while a case looks at NMT states, and how long it waits for one.
 _HEARTBEAT_MS: Final = 100
@@ -242,29 +242,18 @@ class DeviceUnderTest:
 
     def peek(self, index: int, sub: int) -> Answer:
         """A value, without an expectation: for what a case needs to know."""
+        return self._transferred(lambda client: client.open(self.eds.own(index), sub, buffering=0).read())
+
+    def _transferred(self, transfer: Callable[[Transfers], bytes | None]) -> Answer:
         kept, self._sent = self._sent, []
         try:
-            return self._upload(index, sub)
+            return transfer(Transfers(self.exchange)) or b""
+        except SdoAbortedError as error:
+            return Refusal(error.code)
+        except SdoCommunicationError:
+            return None
         finally:
             self._sent = kept
-
-    def _upload(self, index: int, sub: int) -> Answer:
-        answer = self.exchange(multiplexed(0x40, self.eds.own(index), sub))
-        if answer is None or len(answer) != 8:
-            return None
-        if answer[0] == 0x80:
-            return Refusal(int.from_bytes(answer[4:], "little"))
-        if answer[0] & 0x02:
-            return answer[4 : 8 - (answer[0] >> 2 & 3)] if answer[0] & 0x01 else answer[4:]
-        data, toggle = b"", 0x00
-        while True:
-            segment = self.exchange(bytes((0x60 | toggle, *bytes(7))))
-            if segment is None or segment[0] & 0xE0:
-                return None if segment is None else Refusal(int.from_bytes(segment[4:], "little"))
-            data += segment[1 : 8 - (segment[0] >> 1 & 7)]
-            if segment[0] & 0x01:
-                return data
-            toggle ^= 0x10
 
     def number(self, index: int, sub: int = 0) -> int | None:
         """A number (unsigned), without an expectation; None: it is not there."""
@@ -306,28 +295,7 @@ class DeviceUnderTest:
     def try_to_write(self, index: int, sub: int, data: bytes) -> Answer:
         """Write, without an expectation: b"" when it was taken."""
         self.touched.add((self.eds.own(index), sub))
-        kept, self._sent = self._sent, []
-        try:
-            if 0 < len(data) <= 4:
-                answer = self.exchange(self.request_to_write(index, sub, data))
-            else:
-                answer = self._download(index, sub, data)
-        finally:
-            self._sent = kept
-        return _write_answer(answer)
-
-    def _download(self, index: int, sub: int, data: bytes) -> bytes | None:
-        answer = self.exchange(multiplexed(0x21, self.eds.own(index), sub, len(data).to_bytes(4, "little")))
-        at, toggle = 0, 0x00
-        while answer is not None and answer[0] != 0x80:
-            part, at = data[at : at + 7], at + 7
-            last = at >= len(data)
-            head = toggle | (7 - len(part)) << 1 | int(last)
-            answer = self.exchange(bytes((head,)) + part.ljust(7, b"\0"))
-            if last:
-                break
-            toggle ^= 0x10
-        return answer
+        return self._transferred(lambda client: client.download(self.eds.own(index), sub, data))
 
     def data_of(self, index: int, sub: int, value: int) -> bytes:
         """SDO data of a number, in the length of the EDS file."""
@@ -432,12 +400,6 @@ def answers(values: Sequence[ReceivedFrame], can_id: int, test: Callable[[bytes]
 
 def _mux(index: int, sub: int) -> str:
     return bytes((index & 0xFF, index >> 8, sub)).hex()
-
-
-def _write_answer(answer: bytes | None) -> Answer:
-    if answer is None:
-        return None
-    return Refusal(int.from_bytes(answer[4:], "little")) if answer[0] == 0x80 else b""
 
 
 def answer_text(answer: Answer) -> str:

@@ -9,7 +9,7 @@ parameters, valid). Outputs and commands (process data) are no parameters: a dri
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text
@@ -25,7 +25,7 @@ from hilbench.apps.conformance.record import (
 )
 from hilbench.canopen.identifiers import INVALID, MAPPING, NmtCommand
 from hilbench.canopen.object_store import PRESENT_STATE
-from hilbench.canopen.sdo_client import Answer, Refusal
+from hilbench.canopen.sdo_client import Refusal
 from hilbench.cia402.axis import of_first_axis
 from hilbench.cia402.state_machine import POWERED
 from hilbench.errors import BenchFaultError, UnusableInputError
@@ -47,16 +47,7 @@ def snapshot(dut: DeviceUnderTest) -> Values:
     return {entry.key: data for entry in found if isinstance(data := dut.peek(*entry.key), bytes)}
 
 
-@dataclass(frozen=True)
-class Lost:
-    """A parameter that is not what it was."""
-
-    name: str
-    was: str
-    found: str
-
-
-def restore(dut: DeviceUnderTest, values: Values) -> list[Lost]:
+def restore(dut: DeviceUnderTest, values: Values, when: str = "") -> list[Step]:
     """Write back what was touched (after a reset: all), in PRE-OPERATIONAL. Returns what could not be."""
     dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
     for _ in dut.eds.each_axis():
@@ -75,20 +66,16 @@ def restore(dut: DeviceUnderTest, values: Values) -> list[Lost]:
     for key in sorted(set(parameters), key=lambda key: (key == _SYNC_PERIOD, key)):
         answer = dut.try_to_write(*key, values[key])
         if isinstance(answer, Refusal) and answer.code == PRESENT_STATE and key == (0x1014, 0):
-            answer = _through_invalid(dut, key, values[key])
+            dut.try_to_write(*key, (dut.value(*key) | INVALID).to_bytes(4, "little"))
+            dut.try_to_write(*key, values[key])
     lost = [
-        Lost(str(dut.eds.entry(index, sub)), values[index, sub].hex(" "), answer_text(found))
+        Step(f"{when}: {dut.eds.entry(index, sub)}", "", values[index, sub].hex(" "), answer_text(found), False)
         for index, sub in sorted(differing)
         if (found := dut.peek(index, sub)) != values[index, sub]
     ]
     dut.touched.clear()
     dut.was_reset = False
     return lost
-
-
-def _through_invalid(dut: DeviceUnderTest, key: tuple[int, int], data: bytes) -> Answer:
-    dut.try_to_write(*key, (dut.value(*key) | INVALID).to_bytes(4, "little"))
-    return dut.try_to_write(*key, data)
 
 
 def _pdo_of(index: int) -> int | None:
@@ -148,11 +135,11 @@ def _examine_all(
             if groups and case.group not in groups:
                 continue
             for result in _of_each_axis(dut, case):
-                lost += _as_steps(f"after {result.name}", restore(dut, before))
+                lost += restore(dut, before, f"after {result.name}")
                 results.append(result)
                 on_result(result)
     finally:
-        lost += _as_steps("at the end", _leave(dut, before, power_on))
+        lost += _leave(dut, before, power_on)
     results.append(_afterwards(lost, len(before)))
     on_result(results[-1])
     return results
@@ -166,10 +153,6 @@ def _of_each_axis(dut: DeviceUnderTest, case: Case) -> Iterator[CaseResult]:
         result = replace(_examine(dut, case), axis=axis)
         dut.eds.axis = 1
         yield result
-
-
-def _as_steps(when: str, lost: Collection[Lost]) -> list[Step]:
-    return [Step(f"{when}: {one.name}", "", one.was, one.found, False) for one in lost]
 
 
 def _afterwards(lost: list[Step], compared: int) -> CaseResult:
@@ -200,7 +183,7 @@ def _at_power_on(dut: DeviceUnderTest, before: Values) -> Values:
     return stored
 
 
-def _leave(dut: DeviceUnderTest, before: Values, power_on: Values | None) -> list[Lost]:
+def _leave(dut: DeviceUnderTest, before: Values, power_on: Values | None) -> list[Step]:
     """Restore the values found, and the stored ones."""
     dut.begin()
     if power_on is not None and dut.eds.can_write(0x1010, 1):
@@ -208,7 +191,7 @@ def _leave(dut: DeviceUnderTest, before: Values, power_on: Values | None) -> lis
         restore(dut, power_on)
         dut.try_to_write(0x1010, 1, b"save")
     dut.was_reset = True
-    return restore(dut, before)
+    return restore(dut, before, "at the end")
 
 
 def _examine(dut: DeviceUnderTest, case: Case) -> CaseResult:

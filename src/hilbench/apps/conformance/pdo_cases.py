@@ -212,14 +212,11 @@ def _with_one_object(dut: DeviceUnderTest, base: int) -> int:
 
 def _carried(dut: DeviceUnderTest, base: int) -> list[Entry]:
     """Objects that a PDO may carry. Raises NotApplicableError for a device that has nothing of the kind."""
-    found = [entry for entry in dut.eds.entries(0x2000) if _may_carry(entry, base)]
+    allowed = ("rw", "rww", "wo") if base == RPDO else ("rw", "rwr", "ro")
+    mappable = (entry for entry in dut.eds.entries(0x2000) if entry.variable.pdo_mappable and entry.mapping & 0xFF)
+    found = [entry for entry in mappable if entry.access in allowed]
     what = "an RPDO" if base == RPDO else "a TPDO"
     return some(found, f"no object from 2000h on may be mapped to {what} by the EDS file")
-
-
-def _may_carry(entry: Entry, base: int) -> bool:
-    allowed = ("rw", "rww", "wo") if base == RPDO else ("rw", "rwr", "ro")
-    return bool(entry.variable.pdo_mappable) and entry.access in allowed and entry.mapping & 0xFF > 0
 
 
 def mapping_without_procedure(dut: DeviceUnderTest) -> None:

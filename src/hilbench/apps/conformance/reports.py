@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 from hilbench.apps.conformance.record import CaseResult, Examination, Step, Verdict
 from hilbench.apps.report.page import write_page
-from hilbench.files import written_whole
+from hilbench.results.junit import write_suite
 
 #: Of how many steps that are as expected, and of how many that are not, a case shows the bytes.
 _STEPS_SHOWN = 40
@@ -53,14 +53,7 @@ def write_junit(examination: Examination, path: Path) -> None:
     suite = ElementTree.Element("testsuite", name=f"{examination.device} (node {examination.node_id})")
     for case in examination.cases:
         _add(suite, case)
-    counts = examination.counts
-    suite.set("tests", str(len(suite)))
-    suite.set("failures", str(counts[Verdict.FAILED]))
-    suite.set("errors", "0")
-    suite.set("skipped", str(counts[Verdict.NOT_APPLICABLE] + counts[Verdict.NOT_ALLOWED]))
-    ElementTree.indent(suite)
-    with written_whole(path) as partial:
-        partial.write_bytes(ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True) + b"\n")
+    write_suite(suite, path)
 
 
 def _add(suite: ElementTree.Element, case: CaseResult) -> None:

@@ -33,7 +33,7 @@ class DrivesApplication:
         self._rig = RigApplication(
             [node.drive for node in nodes],
             [node.port for node in nodes],
-            _Shafts(self._faulty),
+            self,
             ByClock(CYCLE_S, SAMPLE_S, now_ns, lambda _text: None, any_period=True),
             CYCLE_S,
         )
@@ -60,6 +60,11 @@ class DrivesApplication:
         self._happen()
         self._rig.tick(duration_s)
 
+    def step(self, duration_s: float) -> None:
+        """Turn all shafts for so long."""
+        for drive in self._faulty:
+            drive.step(duration_s)
+
     def put_beside(self, lss: NodeIdGiven) -> None:
         """Add an LSS slave that receives its own frames for the node."""
         self._lss, self.listens_to = lss, lss.listens_to
@@ -74,18 +79,6 @@ class DrivesApplication:
             self._asked.get()()
         for drive in self._faulty:
             drive.happen()
-
-
-class _Shafts:
-    """All rigs as one."""
-
-    def __init__(self, drives: Sequence[FaultyDrive]) -> None:
-        self._drives = drives
-
-    def step(self, duration_s: float) -> None:
-        """Turn all of them for so long."""
-        for drive in self._drives:
-            drive.step(duration_s)
 
 
 class FaultyDrive:

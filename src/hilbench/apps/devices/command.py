@@ -36,6 +36,6 @@ def simulate_drive(
 
     Example: hilbench simulate-drive eds/hilbench_servo.eds --node 5 --bus socketcan:vcan0
     """
-    from hilbench.apps.devices.serve import simulate_drive_command
+    from hilbench.apps.devices.serve import behaviour_of, serve
 
-    simulate_drive_command(eds, node, bus, count=count, plant=plant, behaviour_file=behaviour, lss=lss, serial=serial)
+    serve(eds, node, bus, count, behaviour_of(behaviour, plant), lss=lss, serial=serial)

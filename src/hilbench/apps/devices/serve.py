@@ -26,16 +26,8 @@ from hilbench.real_time import kept_ready
 _LOOK_S: Final = 0.05
 
 
-def simulate_drive_command(
-    eds: Path,
-    node: int | None,
-    bus: str,
-    *,
-    count: int,
-    plant: Path | None,
-    behaviour_file: Path | None,
-    lss: bool,
-    serial: int | None,
+def serve(
+    eds: Path, node: int | None, bus: str, count: int, behaviour: Behaviour, *, lss: bool, serial: int | None
 ) -> None:
     """Play `count` drives with the node ids from `node` on (with `lss` and no `node`: with none) until SIGINT, SIGTERM
     or SIGHUP.
@@ -46,7 +38,6 @@ def simulate_drive_command(
     last = node_id + count - 1
     if last > LAST_NODE:
         raise UnusableInputError("--count", f"{count} drives from node {node_id} on, expected ids up to {LAST_NODE}")
-    behaviour = _behaviour(behaviour_file, plant)
     address = BusAddress.parse(bus).as_it_runs() if bus == "embedded" else BusAddress.parse(bus)
     stop, clock = stop_request(), new_clock()
     node_ids = range(node_id, last + 1) if node or not lss else ()
@@ -91,7 +82,8 @@ def _serve_with_lss(
             time.sleep(_LOOK_S)
 
 
-def _behaviour(path: Path | None, plant: Path | None) -> Behaviour:
+def behaviour_of(path: Path | None, plant: Path | None) -> Behaviour:
+    """What drives do, by the file of --behaviour, with the shaft of --plant. Raises UnusableInputError."""
     behaviour = Behaviour() if path is None else load_behaviour(path)
     if plant is None:
         return behaviour

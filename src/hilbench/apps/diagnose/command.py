@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from hilbench.apps.cli.options import BusOption, SetOption
+from hilbench.apps.cli.options import BusOption, JsonOption, ModelOption, SetOption
+from hilbench.errors import UnusableInputError
 
 
 def diagnose(
@@ -18,10 +19,7 @@ def diagnose(
             help="recording (.mf4, .csv, .csv.gz) or run folder, or a bench config (.yaml) to run and diagnose",
         ),
     ],
-    model: Annotated[
-        Path | None,
-        typer.Option("--model", help="model file, or a bench config with the model in it (YAML); a bench has its own"),
-    ] = None,
+    model: ModelOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -51,7 +49,7 @@ def diagnose(
     ] = False,
     bus: BusOption = None,
     changes: SetOption = None,
-    json: Annotated[bool, typer.Option("--json", help="print the diagnosis as JSON, nothing else")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, and add it to the model.
 
@@ -68,16 +66,31 @@ def diagnose(
 
     Example: hilbench diagnose after.csv --against before.csv --out changed
     """
-    from hilbench.apps.diagnose.diagnose import diagnose_command
+    from rich.console import Console
 
-    diagnose_command(
-        source,
-        model,
-        out,
-        as_json=json,
-        against=against,
-        next_experiment=next_experiment,
-        until_clear=until_clear,
-        bus=bus,
-        changes=changes or (),
-    )
+    from hilbench.apps.cli.progress import ProgressDisplay
+    from hilbench.apps.diagnose.diagnose import changed_since, found_on_the_bench, in_a_recording, show_and_keep
+    from hilbench.results.run_folder import RunFolder
+    from hilbench.runs.config import load_with_overrides
+
+    if source.is_dir():
+        run = RunFolder.open(source)
+        source, model = run.recording, model or run.config
+    is_config = source.suffix in (".yaml", ".yml")
+    if (changes or bus is not None) and (not is_config or against is not None):
+        option = "--bus" if not changes else f"--set {changes[0]}"
+        raise UnusableInputError(option, "with a recording, expected a bench config that is run")
+    if is_config and against is not None:
+        raise UnusableInputError(source, "a bench config, expected with --against the recording after the change")
+    if until_clear and against is None and not is_config:
+        raise UnusableInputError(source, "a recording, expected with --until-clear a bench config that can be run")
+    with ProgressDisplay(Console(stderr=True, highlight=False), quiet=json) as progress:
+        if against is not None:
+            found = changed_since(against, source, model, progress)
+        elif is_config:
+            loaded = load_with_overrides(source, bus=bus, changes=changes or ())
+            found = found_on_the_bench(loaded, source, model, out, progress, until_clear=until_clear)
+            found.changes = changes or ()
+        else:
+            found = in_a_recording(source, model, progress)
+    show_and_keep(found, source, out, next_experiment, as_json=json)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,52 +13,27 @@ from hilbench.apps.cli.columns import report_section, report_unknown
 from hilbench.apps.cli.model_option import any_model_from, config_from
 from hilbench.apps.cli.options import print_json
 from hilbench.apps.cli.progress import ProgressDisplay
-from hilbench.apps.diagnose.page import write_diagnosis_page
+from hilbench.apps.cli.tables import table
+from hilbench.apps.diagnose.page import Found, write_diagnosis_page
 from hilbench.apps.history.entries import keep_diagnosis
 from hilbench.diagnosis.bench_gap import LiveGap, live_gap, run_bench
 from hilbench.diagnosis.comparison import Run, compared
-from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
+from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable, diagnose
 from hilbench.diagnosis.emulated import emulation_beside, emulation_of
 from hilbench.diagnosis.machines import AnyEmulation
-from hilbench.diagnosis.next_experiment import NextExperiment, Step, proposed, write_steps
+from hilbench.diagnosis.next_experiment import Step, proposed, write_steps
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
-from hilbench.plant.effect import Section
 from hilbench.plant.model_file import write_model
-from hilbench.results.recording import read_section
+from hilbench.results.recording import Recording, read_section
 from hilbench.results.run_folder import RunFolder
-from hilbench.runs.config import LoadedConfig, load_with_overrides, write_config_over
+from hilbench.runs.config import LoadedConfig, write_config_over
 from hilbench.topology.config import BenchConfig
 
 #: Columns that the tables need; a narrower terminal wraps whole lines, it loses no figures.
 _WIDTH = 100
 #: Runs of the bench after the first, at most, until nothing is tied.
 _MOST_ROUNDS = 3
-_SENTENCES = {
-    "complete": "nothing is missing that these data can show",
-    "named": "the effects below close the gap on data that no fit has seen",
-    "unknown": "something is missing that no effect of the vocabulary explains",
-}
-_CHANGES = {
-    "complete": "nothing changed that these data can show",
-    "named": "the effects below changed, by the values below",
-    "unknown": "something changed, or is missing, that no effect of the vocabulary explains",
-}
-
-
-@dataclass
-class _Found:
-    """A diagnosis, and what the bench showed of it."""
-
-    diagnosis: Diagnosis
-    config: Path | None  #: bench config with the model in it, where there is one
-    live: list[LiveGap] = field(default_factory=list)  #: with the original and with the extended model
-    not_compared: str = ""  #: why the second run is not among them
-    fault: BenchFaultError | None = None  #: of the second run
-    against: Path | None = None  #: the recording before, where changes were looked for
-    proposed: NextExperiment | None = None  #: what would tell more
-    changes: Sequence[str] = ()  #: of the bench config, by --set
-    rounds: list[str] = field(default_factory=list)  #: what was run after the first run, and what it was to tell
 
 
 @dataclass
@@ -71,79 +45,38 @@ class _Files:
     config: Path | None
 
 
-def diagnose_command(
-    source: Path,
-    model_path: Path | None,
-    out: Path | None,
-    *,
-    as_json: bool,
-    against: Path | None = None,
-    next_experiment: Path | None = None,
-    until_clear: bool = False,
-    bus: str | None = None,
-    changes: Sequence[str] = (),
-) -> None:
-    """Diagnose, print, and write page, extended model and extended config into `out`.
+def in_a_recording(source: Path, model_path: Path | None, progress: ProgressDisplay) -> Found:
+    """What a model lacks, by a recording. Raises UnusableInputError."""
+    if model_path is None:
+        raise UnusableInputError("--model", "missing, expected the model file that the recording is compared with")
+    config, model = config_from(model_path), any_model_from(model_path)
+    progress.announce("read the recording", 0.0)
+    recording = _section_of(source)
+    diagnosis = diagnose(recording, model, source, progress.announce, _emulation(source, config))
+    return Found(diagnosis, None if config is None else model_path, proposed=proposed(diagnosis, recording, source))
 
-    `source` is a recording, or a run folder with one, or a bench config: that is run first, and again with the extended
-    model. `against`: a recording of the same machine before, then it is what changed since that is looked for.
-    `next_experiment`: the file for steps that would tell more. `until_clear`: the bench runs on with such steps until
-    nothing is tied. `bus` and `changes`: as of `load_with_overrides`, for a bench config.
 
-    Raises UnusableInputError; for runs that don't come to their end InterruptedByOperatorError and BenchFaultError, the
-    latter after everything has been shown when it was the run with the extended model.
-    """
-    if source.is_dir():
-        run = RunFolder.open(source)
-        source, model_path = run.recording, model_path or run.config
-    console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
-    console.width = max(console.width, _WIDTH)
-    with ProgressDisplay(errors, quiet=as_json) as progress:
-        is_config = source.suffix in (".yaml", ".yml")
-        if (changes or bus is not None) and (not is_config or against is not None):
-            option = "--bus" if not changes else f"--set {changes[0]}"
-            raise UnusableInputError(option, "with a recording, expected a bench config that is run")
-        if against is not None:
-            if is_config:
-                raise UnusableInputError(
-                    source, "a bench config, expected with --against the recording after the change"
-                )
-            found = _against(source, against, model_path, progress)
-        elif is_config:
-            found = _on_the_bench(
-                load_with_overrides(source, bus=bus, changes=changes),
-                source,
-                model_path,
-                out,
-                progress,
-                until_clear=until_clear,
-            )
-            found.changes = changes
-        elif until_clear:
-            raise UnusableInputError(source, "a recording, expected with --until-clear a bench config that can be run")
-        else:
-            if model_path is None:
-                raise UnusableInputError(
-                    "--model", "missing, expected the model file that the recording is compared with"
-                )
-            config, model = config_from(model_path), any_model_from(model_path)
-            progress.announce("read the recording", 0.0)
-            recording = read_section(source)
-            report_section(recording, source)
-            report_unknown(recording.channels, source)
-            emulation = _emulation(source, config)
-            diagnosis = diagnose(recording, model, source, progress.announce, emulation)
-            found = _Found(diagnosis, None if config is None else model_path)
-            found.proposed = proposed(diagnosis, recording, source)
-        files = None if out is None else _write(found, source, out)
+def _section_of(source: Path) -> Recording:
+    recording = read_section(source)
+    report_section(recording, source)
+    report_unknown(recording.channels, source)
+    return recording
+
+
+def show_and_keep(found: Found, source: Path, out: Path | None, next_experiment: Path | None, *, as_json: bool) -> None:
+    """Print what was found, write page, extended model and extended config into `out`, and steps that would tell more
+    to `next_experiment`. Raises UnusableInputError, and the fault of a run with the extended model when all is done."""
+    files = None if out is None else _write(found, source, out)
     if next_experiment is not None and found.proposed is not None:
         write_steps(next_experiment, found.proposed, found.config)
     written = next_experiment if found.proposed is not None else None
     data = as_data(found, files, written)
-    _remember(found, source, data, errors)
+    _remember(found, source, data)
     if as_json:
         print_json(data)
     else:
+        console = Console(highlight=False)
+        console.width = max(console.width, _WIDTH)
         _show_all(console, found, files)
         if next_experiment is not None:
             console.print(_next_line(found, written), soft_wrap=True)
@@ -151,35 +84,32 @@ def diagnose_command(
         raise found.fault
 
 
-def _remember(found: _Found, source: Path, data: dict[str, Any], errors: Console) -> None:
+def _remember(found: Found, source: Path, data: dict[str, Any]) -> None:
     """Put what was found of a stand's run into its folder and the history; of a change there is no value to keep."""
     run = RunFolder(found.live[0].run if found.live else source.parent)
     if found.against is None and run.config.is_file():
         try:
             keep_diagnosis(run, data)
         except UnusableInputError as error:  # what was found is shown all the same
-            errors.print(f"not in the history: {error}", soft_wrap=True, markup=False)
+            Console(stderr=True, highlight=False).print(f"not in the history: {error}", soft_wrap=True, markup=False)
 
 
-def _next_line(found: _Found, written: Path | None) -> str:
+def _next_line(found: Found, written: Path | None) -> str:
     if found.proposed is None:
         return "next experiment: none of the library would add information"
     shown_text = f"next experiment: {found.proposed.moves}, {found.proposed.duration_s:.1f} s: {written}"
     return shown_text if found.config is None else f"{shown_text}\nhilbench run {written}"
 
 
-def _against(source: Path, before: Path, model_path: Path | None, progress: ProgressDisplay) -> _Found:
+def changed_since(before: Path, source: Path, model_path: Path | None, progress: ProgressDisplay) -> Found:
     """What changed from one recording to another."""
     config = None if model_path is None else config_from(model_path)
     model = None if model_path is None else any_model_from(model_path)
     runs = []
     for path in (source, before):
         progress.announce(f"read {path}", 0.0)
-        recording = read_section(path)
-        report_section(recording, path)
-        report_unknown(recording.channels, path)
-        runs.append(Run(recording, path, _emulation(path, config)))
-    return _Found(compared(runs[0], runs[1], model, progress.announce), model_path if config else None, against=before)
+        runs.append(Run(_section_of(path), path, _emulation(path, config)))
+    return Found(compared(runs[0], runs[1], model, progress.announce), model_path if config else None, against=before)
 
 
 def _emulation(recording: Path, config: BenchConfig | None) -> AnyEmulation | None:
@@ -187,7 +117,7 @@ def _emulation(recording: Path, config: BenchConfig | None) -> AnyEmulation | No
     return emulation_beside(recording) or (None if config is None else emulation_of(config))
 
 
-def _on_the_bench(
+def found_on_the_bench(
     loaded: LoadedConfig,
     config: Path,
     model_path: Path | None,
@@ -195,7 +125,7 @@ def _on_the_bench(
     progress: ProgressDisplay,
     *,
     until_clear: bool,
-) -> _Found:
+) -> Found:
     """Run, diagnose, and run again with what was found.
 
     until_clear: first with further steps as well, each time those that would tell most, until nothing is tied.
@@ -207,10 +137,12 @@ def _on_the_bench(
     before = live_gap(first)
     recording, emulation = first.folder.recording, emulation_of(loaded.config)
     diagnosis = diagnose(read_section(recording), model, recording, progress.announce, emulation)
-    found = _Found(diagnosis, config, [before])
+    found = Found(diagnosis, config, [before])
     found.proposed = proposed(diagnosis, read_section(recording), recording)
     steps: list[Step] = []
-    while until_clear and found.proposed is not None and len(found.rounds) < _MOST_ROUNDS and _is_tied(diagnosis):
+    while until_clear and found.proposed is not None and len(found.rounds) < _MOST_ROUNDS:
+        if not any(effect.tied_with for effect in diagnosis.effects):
+            break
         steps += found.proposed.steps
         found.rounds.append(f"{found.proposed.moves} ({'; '.join(found.proposed.reasons)})")
         observer, announce = progress.of_run(f"run the bench with {found.proposed.moves}", 0.0)
@@ -240,11 +172,7 @@ def _on_the_bench(
     return found
 
 
-def _is_tied(diagnosis: Diagnosis) -> bool:
-    return any(effect.tied_with for effect in diagnosis.effects)
-
-
-def _write(found: _Found, source: Path, out: Path) -> _Files:
+def _write(found: Found, source: Path, out: Path) -> _Files:
     make_folder(out)
     files = _Files(out / "diagnosis.html", out / "model_extended.yaml", None)
     write_model(files.model, found.diagnosis.model)
@@ -252,22 +180,12 @@ def _write(found: _Found, source: Path, out: Path) -> _Files:
         files.config = out / "config_extended.yaml"
         write_config_over(files.config, [found.config, files.model], found.changes)
     title = f"Diagnosis of {source.name}" + ("" if found.against is None else f" against {found.against.name}")
-    write_diagnosis_page(
-        found.diagnosis,
-        found.live,
-        found.not_compared,
-        title,
-        files.page,
-        files.config,
-        changes=found.against is not None,
-        proposed=found.proposed,
-        rounds=found.rounds,
-    )
+    write_diagnosis_page(found, title, files.page, files.config)
     return files
 
 
-def _show_all(console: Console, found: _Found, files: _Files | None) -> None:
-    _show(console, found.diagnosis, found.against)
+def _show_all(console: Console, found: Found, files: _Files | None) -> None:
+    _show(console, found)
     for line in found.rounds:
         console.print(f"ran as well: {line}", soft_wrap=True)
     if found.live:
@@ -281,46 +199,22 @@ def _show_all(console: Console, found: _Found, files: _Files | None) -> None:
         console.print(f"bench with the extended model: hilbench run {files.config}", soft_wrap=True)
 
 
-def as_data(shown: _Found, files: _Files | None, next_experiment: Path | None = None) -> dict[str, Any]:
+def as_data(shown: Found, files: _Files | None, next_experiment: Path | None = None) -> dict[str, Any]:
     """What `--json` prints (design, section 6)."""
-    found, live, not_compared = shown.diagnosis, shown.live, shown.not_compared
-    gap = found.gap
+    found = shown.diagnosis
     return {
         "verdict": found.verdict,
         "against": None if shown.against is None else str(shown.against),
         "effects": [_effect(effect) for effect in found.effects],
         "nuisance": [_effect(effect) for effect in found.nuisance],
-        "gap": {
-            "signal": gap.signal,
-            "metric": "rms",
-            "unit": gap.unit,
-            "before": gap.before,
-            "after": gap.after,
-            "noise_floor": gap.noise_floor,
-            "held_out": True,
-        },
-        "where": [
-            {"signal": w.signal, "when": w.when, "condition": w.condition, "share_of_gap": w.share_of_gap}
-            for w in found.where
-        ],
+        "gap": {"metric": "rms", **asdict(found.gap), "held_out": True},
+        "where": [asdict(w) for w in found.where],
         "unexplained": [
-            {"signal": m.signal, "when": m.when, "condition": m.condition, "detail": m.detail, "points": m.points}
+            {name: getattr(m, name) for name in ("signal", "when", "condition", "detail", "points")}
             for m in found.unexplained
         ],
         "proposed_laws": [{**asdict(one), "text": one.text} for one in found.laws],
-        "blind_to": [
-            {
-                "effect": b.effect,
-                "axis": b.axis,
-                **_section(b.section),
-                "order": b.order,
-                "frequency_Hz": b.frequency_Hz,
-                "smallest_visible": b.smallest_visible,
-                "unit": b.unit,
-                "experiment": b.experiment,
-            }
-            for b in found.unobservable
-        ],
+        "blind_to": [_placed(blind) for blind in found.unobservable],
         "repairs": [asdict(repair) for repair in found.repairs],
         "missing_channels": found.missing_channels,
         "predicted_on": found.predicted_on,
@@ -329,39 +223,32 @@ def as_data(shown: _Found, files: _Files | None, next_experiment: Path | None = 
         "rounds": shown.rounds,
         "live": [
             {"run": str(gap.run), "cycles": gap.cycles} | {each.name: each.value for each in gap.figures}
-            for gap in live
+            for gap in shown.live
         ],
-        "not_compared": not_compared or None,
+        "not_compared": shown.not_compared or None,
         "model": None if files is None else str(files.model),
         "config": None if files is None or files.config is None else str(files.config),
     }
 
 
-def _section(section: Section | None) -> dict[str, Section | None]:
-    """Where an effect is that has no axis: a span by its number, or a station by its name."""
-    named = isinstance(section, str)
-    return {"span": None if named else section} | ({"station": section} if named else {})
+def _placed(found: NamedEffect | Unobservable) -> dict[str, Any]:
+    """Its fields, with a span by its number or a station by its name."""
+    data = asdict(found)
+    section = data.pop("section")
+    return data | ({"span": None, "station": section} if isinstance(section, str) else {"span": section})
 
 
 def _effect(effect: NamedEffect) -> dict[str, Any]:
-    return {
-        "effect": effect.effect,
-        "axis": effect.axis,
-        **_section(effect.section),
-        "parameters": {
-            name: {"value": value.value, "ci95": list(value.ci95), "unit": value.unit}
-            | ({} if value.before is None else {"before": value.before})
-            for name, value in effect.parameters.items()
-        },
-        "evidence": effect.evidence,
-        "tied_with": effect.tied_with,
-        "told_apart_by": effect.told_apart_by,
+    parameters = {
+        name: {key: each for key, each in asdict(value).items() if key != "before" or each is not None}
+        for name, value in effect.parameters.items()
     }
+    return _placed(effect) | {"parameters": parameters}
 
 
-def _show(console: Console, found: Diagnosis, against: Path | None) -> None:
-    sentences = _SENTENCES if against is None else _CHANGES
-    console.print(f"{found.verdict}: {sentences[found.verdict]}", soft_wrap=True)
+def _show(console: Console, shown: Found) -> None:
+    found, against = shown.diagnosis, shown.against
+    console.print(f"{found.verdict}: {shown.sentence}", soft_wrap=True)
     console.print(f"predicted on {found.predicted_on}", soft_wrap=True)
     for effect in found.nuisance:
         sizes = [f"{k} {v.value:.3g} ({v.ci95[0]:.3g} to {v.ci95[1]:.3g})" for k, v in effect.parameters.items()]
@@ -376,12 +263,9 @@ def _show(console: Console, found: Diagnosis, against: Path | None) -> None:
             if effect.tied_with:
                 others = ", ".join(effect.tied_with)
                 console.print(f"{effect.effect} is tied with {others}; distinguished by: {effect.told_apart_by}")
-    gaps = Table(title="torque residual, rms on held-out data, N·m", title_justify="left")
-    for column in ("signal", "before", "after", "noise floor"):
-        gaps.add_column(column, justify="left" if column == "signal" else "right")
-    for gap in found.gaps:
-        gaps.add_row(gap.signal, f"{gap.before:.4g}", f"{gap.after:.4g}", f"{gap.noise_floor:.4g}")
-    console.print(gaps)
+    gaps = [(gap.signal, *(f"{rms:.4g}" for rms in (gap.before, gap.after, gap.noise_floor))) for gap in found.gaps]
+    title = "torque residual, rms on held-out data, N·m"
+    console.print(table(("signal", ">before", ">after", ">noise floor"), gaps, framed=True, title=title))
     _show_where(console, found)
     for blind in found.unobservable:
         place = blind.place.text
@@ -397,31 +281,22 @@ def _show(console: Console, found: Diagnosis, against: Path | None) -> None:
 
 
 def _effects_table(found: Diagnosis, *, changes: bool) -> Table:
-    shown = Table(title_justify="left")
-    value_of = "change" if changes else "value"
-    for column in ("effect", "place", "parameter", value_of, "95 %", "unit", *(("before",) if changes else ())):
-        shown.add_column(
-            column,
-            justify="right" if column in (value_of, "95 %", "before") else "left",
-            no_wrap=column in ("effect", "95 %"),
-        )
+    columns = ("effect", "place", "parameter", ">change" if changes else ">value", ">95 %", "unit")
+    rows = []
     for effect in found.effects:
         for k, (name, value) in enumerate(effect.parameters.items()):
             first = (effect.effect, effect.place.where) if k == 0 else ("", "")
             shown_text, low, high = (f"{each:.{value.digits}g}" for each in (value.value, *value.ci95))
             was = ("" if value.before is None else f"{value.before:.5g}",) if changes else ()
-            shown.add_row(*first, name, shown_text, f"{low} to {high}", value.unit, *was)
-    return shown
+            rows.append((*first, name, shown_text, f"{low} to {high}", value.unit, *was))
+    return table((*columns, *((">before",) if changes else ())), rows, ("effect", ">95 %"), framed=True)
 
 
 def _live_table(live: list[LiveGap]) -> Table:
-    shown = Table(title="the twin on the bench", title_justify="left")
-    shown.add_column("", no_wrap=True)
-    for name in ("original model", "extended model")[: len(live)]:
-        shown.add_column(name, justify="right")
-    for each in zip(*(gap.figures for gap in live), strict=True):
-        shown.add_row(each[0].text, *(f"{figure.value:.4g}" for figure in each))
-    return shown
+    figures = zip(*(gap.figures for gap in live), strict=True)
+    rows = [(each[0].text, *(f"{figure.value:.4g}" for figure in each)) for each in figures]
+    columns = ("", ">original model", ">extended model")[: 1 + len(live)]
+    return table(columns, rows, ("",), framed=True, title="the twin on the bench")
 
 
 def _show_where(console: Console, found: Diagnosis) -> None:
@@ -431,9 +306,6 @@ def _show_where(console: Console, found: Diagnosis) -> None:
         for one in found.laws:
             console.print(f"a law that explains {100.0 * one.share:.0f} % of it: {one.text}", soft_wrap=True)
     elif found.where:
-        shown = Table(title="where the original model disagreed", title_justify="left")
-        for column in ("signal", "condition", "share of gap"):
-            shown.add_column(column)
-        for row in found.where[:5]:
-            shown.add_row(row.signal, row.condition, f"{100 * row.share_of_gap:.0f} %")
-        console.print(shown)
+        rows = [(row.signal, row.condition, f"{100 * row.share_of_gap:.0f} %") for row in found.where[:5]]
+        title = "where the original model disagreed"
+        console.print(table(("signal", "condition", "share of gap"), rows, framed=True, title=title))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,39 +16,46 @@ from hilbench.apps.report.reduce import moving_average
 from hilbench.diagnosis.bench_gap import LiveGap
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable
 from hilbench.diagnosis.next_experiment import NextExperiment
+from hilbench.errors import BenchFaultError
 
 _SENTENCES = {
-    "complete": "Nothing is missing that these data can show.",
-    "named": "The effects below close the gap on data that no fit has seen.",
-    "unknown": "Something is missing that no effect of the vocabulary explains.",
+    "complete": "nothing is missing that these data can show",
+    "named": "the effects below close the gap on data that no fit has seen",
+    "unknown": "something is missing that no effect of the vocabulary explains",
 }
 _CHANGES = {
-    "complete": "Nothing changed that these data can show.",
-    "named": "The effects below changed, by the values below.",
-    "unknown": "Something changed, or is missing, that no effect of the vocabulary explains.",
+    "complete": "nothing changed that these data can show",
+    "named": "the effects below changed, by the values below",
+    "unknown": "something changed, or is missing, that no effect of the vocabulary explains",
 }
 #: Residuals are averaged over this time in the pictures, s: the noise of single samples would hide what is left.
 _SMOOTHING_S = 0.2
 
 
-def write_diagnosis_page(
-    found: Diagnosis,
-    live: list[LiveGap],
-    not_compared: str,
-    title: str,
-    path: Path,
-    config: Path | None,
-    *,
-    changes: bool = False,
-    proposed: NextExperiment | None = None,
-    rounds: Sequence[str] = (),
-) -> Path:
-    """Write the page. Raises UnusableInputError if it cannot be written.
+@dataclass
+class Found:
+    """A diagnosis, and what the bench showed of it."""
 
-    `not_compared`: why there is no second run of the bench to compare; `config`: the bench config that was written with
-    the extended model in it, where there is one; `changes`: the effects are what changed since another recording.
-    `proposed`: what would tell more; `rounds`: what was run because it would.
-    """
+    diagnosis: Diagnosis
+    config: Path | None  #: bench config with the model in it, where there is one
+    live: list[LiveGap] = field(default_factory=list)  #: with the original and with the extended model
+    not_compared: str = ""  #: why the second run is not among them
+    fault: BenchFaultError | None = None  #: of the second run
+    against: Path | None = None  #: the recording before, where changes were looked for
+    proposed: NextExperiment | None = None  #: what would tell more
+    changes: Sequence[str] = ()  #: of the bench config, by --set
+    rounds: list[str] = field(default_factory=list)  #: what was run after the first run, and what it was to tell
+
+    @property
+    def sentence(self) -> str:
+        """What the verdict means."""
+        return (_SENTENCES if self.against is None else _CHANGES)[self.diagnosis.verdict]
+
+
+def write_diagnosis_page(shown: Found, title: str, path: Path, config: Path | None) -> Path:
+    """Write the page; `config`: the bench config that was written with the extended model in it, where there is one.
+    Raises UnusableInputError if it cannot be written."""
+    found, changes = shown.diagnosis, shown.against is not None
     residuals = _residuals(found)
     return write_page(
         path,
@@ -56,10 +64,10 @@ def write_diagnosis_page(
         _held_out(found),
         title=title,
         found=found,
-        sentence=(_CHANGES if changes else _SENTENCES)[found.verdict],
+        sentence=f"{shown.sentence[0].upper()}{shown.sentence[1:]}.",
         changes=changes,
-        proposed=proposed,
-        rounds=rounds,
+        proposed=shown.proposed,
+        rounds=shown.rounds,
         effects=_effects(found, changes=changes),
         tied=[(_place(effect), effect) for effect in found.effects if effect.tied_with],
         gaps=[
@@ -70,9 +78,9 @@ def write_diagnosis_page(
         profiles=_profiles(found) if found.profiles else None,
         live=[
             (each[0].text, *(number(figure.value) for figure in each))
-            for each in zip(*(gap.figures for gap in live), strict=True)
+            for each in zip(*(gap.figures for gap in shown.live), strict=True)
         ],
-        not_compared=not_compared,
+        not_compared=shown.not_compared,
         where=[(w.signal, w.condition, w.when, f"{100.0 * w.share_of_gap:.0f} %") for w in found.where],
         left=[(m.signal, m.condition, m.detail, number(m.excess, 3)) for m in found.unexplained],
         blind=[(_place(b), b.experiment, _visible(b)) for b in found.unobservable],
@@ -114,7 +122,8 @@ def _residuals(found: Diagnosis) -> Picture:
 
 
 def _held_out(found: Diagnosis) -> list[Mark]:
-    return [Mark(float(found.t_s[a]), float(found.t_s[b]), "") for a, b in _stretches(found.held_out)]
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], found.held_out.astype(int), [0]])))
+    return [Mark(float(found.t_s[a]), float(found.t_s[b - 1]), "") for a, b in edges.reshape(-1, 2)]
 
 
 def _profiles(found: Diagnosis) -> Picture:
@@ -138,8 +147,3 @@ def _profiles(found: Diagnosis) -> Picture:
         "model, orange with the effects that were found."
     )
     return Picture("profiles", title, caption, drawing=Drawing(draw, 2.3 * rows, "profiles", title))
-
-
-def _stretches(held_out: Any) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], held_out.astype(int), [0]])))
-    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -38,7 +38,10 @@ def check_interface(before: InterfaceFacts, after: InterfaceFacts, needs: Interf
         return [error(Check.INTERFACE, name, "no such interface", problem, name=name)]
     if not before.is_can:
         return [error(Check.INTERFACE, name, "no CAN interface", "no_can_interface")]
-    findings = [ok(Check.INTERFACE, name, f"CAN interface ({before.kind or 'kind not known'})"), _up(before, needs)]
+    up = ok(Check.UP, name, "up")
+    if not before.up:
+        up = error(Check.UP, name, "down", up_command=_up_command(before, needs))
+    findings = [ok(Check.INTERFACE, name, f"CAN interface ({before.kind or 'kind not known'})"), up]
     if before.detailed:
         findings += [_bitrate(before, needs), *_modes(before), *_state(after), *_error_counters(after)]
         findings += [*_past_errors(before, after), *_restart(before)]
@@ -51,12 +54,6 @@ def check_interface(before: InterfaceFacts, after: InterfaceFacts, needs: Interf
 def _up_command(facts: InterfaceFacts, needs: InterfaceNeeds) -> str:
     of_a_wire = "" if facts.kind == "vcan" else f" type can bitrate {needs.bitrate} restart-ms 0"
     return f"sudo ip link set {facts.name} up{of_a_wire}"
-
-
-def _up(facts: InterfaceFacts, needs: InterfaceNeeds) -> Finding:
-    if facts.up:
-        return ok(Check.UP, facts.name, "up")
-    return error(Check.UP, facts.name, "down", up_command=_up_command(facts, needs))
 
 
 def _bitrate(facts: InterfaceFacts, needs: InterfaceNeeds) -> Finding:

@@ -9,7 +9,7 @@ import typer
 from typer import Argument, Option
 
 from hilbench.apps.cli.config_file import load_config
-from hilbench.apps.cli.options import BusOption, PaceOption, SetOption
+from hilbench.apps.cli.options import BusOption, JsonOption, PaceOption, SetOption
 from hilbench.errors import UnusableInputError
 
 
@@ -19,7 +19,7 @@ def doctor(
     pace: PaceOption = None,
     changes: SetOption = None,
     start: Annotated[bool, Option(help="start simulated hardware and twin when they don't run, as run does")] = True,
-    json: Annotated[bool, Option("--json", help="print one JSON object on standard output, nothing else")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Examine machine, CAN interface and nodes; says what is wrong and what to type. Writes nothing to any device.
 

@@ -32,7 +32,7 @@ NodeAnswers = Mapping[str, Mapping[Key, bytes | None]]
 
 #: Keys of a config that say nothing of the stand.
 _NOT_OF_THE_STAND: Final = frozenset(
-    {
+    [
         "name",
         "description",
         "seed",
@@ -44,17 +44,14 @@ _NOT_OF_THE_STAND: Final = frozenset(
         "wear_limits",
         "recording",
         "trace",
-    }
+    ]
 )
 _DEVICE: Final = (0x1000, 0x1008, 0x1009, 0x100A, 0x1018)
 _PDO: Final = range(0x1400, 0x1C00)
 #: Of what must be a file's: device profile (the low half of 1000h), vendor-ID, product code, revision.
 _BY_THE_FILE: Final[tuple[tuple[Key, int], ...]] = (
-    ((0x1000, 0), 0xFFFF),
-    ((0x1018, 1), 0xFFFFFFFF),
-    ((0x1018, 2), 0xFFFFFFFF),
-    ((0x1018, 3), 0xFFFFFFFF),
-)
+    ((0x1000, 0), 0xFFFF), ((0x1018, 1), 0xFFFFFFFF), ((0x1018, 2), 0xFFFFFFFF), ((0x1018, 3), 0xFFFFFFFF),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from hilbench.apps.cli.options import print_json
+from hilbench.apps.cli.tables import table
 from hilbench.apps.doctor.examination import Examination, Start, Subject, examine
 from hilbench.apps.doctor.findings import Finding, Level
 from hilbench.can.open import BusAddress
@@ -56,19 +57,14 @@ def as_data(examination: Examination) -> dict[str, object]:
 
 def show(console: Console, examination: Examination) -> None:
     """Print the examination for a person: findings with what was expected, then what to do."""
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    table.add_column(no_wrap=True)
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    subject = None
-    for finding in examination.findings:
-        if finding.subject != subject:
-            subject = finding.subject
-            table.add_row("", "", f"[bold]{escape(subject)}[/bold]")
-        colour = _COLOURS[finding.level]
-        text = f"{finding.found}\nexpected {finding.expected}" if finding.expected else finding.found
-        table.add_row(f"[{colour}]{finding.level}[/{colour}]", finding.check.replace("_", " "), escape(text))
-    console.print(table)
+    rows = []
+    for subject, findings in groupby(examination.findings, lambda finding: finding.subject):
+        rows.append(("", "", f"[bold]{escape(subject)}[/bold]"))
+        for finding in findings:
+            colour = _COLOURS[finding.level]
+            text = f"{finding.found}\nexpected {finding.expected}" if finding.expected else finding.found
+            rows.append((f"[{colour}]{finding.level}[/{colour}]", finding.check.replace("_", " "), escape(text)))
+    console.print(table(("level", "check", "found"), rows, ("level", "check"), show_header=False))
     show_advice(console, examination.findings)
     errors, warnings = examination.count(Level.ERROR), examination.count(Level.WARNING)
     asked = examination.nodes_asked > 0

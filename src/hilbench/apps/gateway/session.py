@@ -84,7 +84,7 @@ class Session:
             "lss_store": self._lss_store,
             "lss_get_node": self._lss_get_node,
             "_lss_fastscan": self._lss_fast_scan,
-            **dict.fromkeys(_NMT, self._state),
+            **dict.fromkeys(_NMT, lambda request: self._command(request, _NMT[request.words[0]])),
         }
 
     def answer(self, line: str) -> str | None:
@@ -131,9 +131,6 @@ class Session:
         return "OK"
 
     # -- NMT ---------------------------------------------------------------------------------------------
-
-    def _state(self, request: Request) -> str:
-        return self._command(request, _NMT[request.words[0]])
 
     def _reset(self, request: Request) -> str:
         what = request.words[1].lower() if len(request.words) > 1 else ""

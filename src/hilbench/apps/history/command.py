@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from hilbench.apps.cli.options import JsonOption, print_json
+from hilbench.apps.cli.options import JsonOption, key_and_number, print_json
 from hilbench.errors import UnusableInputError
 
 if TYPE_CHECKING:
@@ -58,7 +57,8 @@ def history(
     bench = None if config is None else load(config)[0]
     path = file or (history_beside(runs) if bench is None else history_of(bench, runs))
     stand = stand or (None if bench is None else bench.stand_name)
-    limits = dict(map(_limit, limit or ()))
+    expected = "QUANTITY=VALUE such as shaft.inertia_kg_m2=0.02"
+    limits = dict(key_and_number("--limit", text, expected) for text in limit or ())
     problems = entries.rebuild(path, stand, runs)[1] if rebuild else []
     known = History(path).stands()
     if stand is not None and stand not in known:
@@ -83,33 +83,17 @@ def history(
     _show(found, path, problems, html)
 
 
-def _limit(text: str) -> tuple[str, float]:
-    name, equals, value = text.partition("=")
-    try:
-        number = float(value)
-    except ValueError:
-        number = float("nan")
-    if not equals or not name.strip() or not isfinite(number):
-        raise UnusableInputError("--limit", f"{text!r}, expected QUANTITY=VALUE such as shaft.inertia_kg_m2=0.02")
-    return name.strip(), number
-
-
 def _show(found: dict[str, list[QuantityTrend]], path: Path, problems: Sequence[str], html: Path | None) -> None:
     from rich.console import Console
-    from rich.table import Table
 
-    from hilbench.apps.history.quantities import figures, sentences
+    from hilbench.apps.cli.tables import table
+    from hilbench.apps.history.quantities import COLUMNS, figures, sentences
 
     console = Console(highlight=False)
     console.width = max(console.width, _WIDTH)
     for name, quantities in found.items():
-        table = Table(title=f"{name}  ({path})", title_justify="left", box=None, padding=(0, 2, 0, 0))
-        for column in ("quantity", ">runs", ">days", ">now", "95 %", ">per day", "95 %", "unit", "trend"):
-            justify: Literal["left", "right"] = "right" if column.startswith(">") else "left"
-            table.add_column(column.removeprefix(">"), justify=justify, no_wrap=True)
-        for one in quantities:
-            table.add_row(one.name, str(len(one.rows)), str(one.days), *figures(one))
-        console.print(table)
+        columns = [column.lower() for column in COLUMNS]
+        console.print(table(columns, map(figures, quantities), columns, title=f"{name}  ({path})"))
         for one in quantities:
             for line in sentences(one):
                 console.print(f"{one.name}: {line}", soft_wrap=True, markup=False)

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hilbench.apps.history.quantities import SECONDS_PER_DAY, QuantityTrend, date, figures, sentences
+from hilbench.apps.history.quantities import COLUMNS, SECONDS_PER_DAY, QuantityTrend, date, figures, sentences
 from hilbench.apps.report.chart import BLUE, INK, ORANGE, VERMILLION
 from hilbench.apps.report.page import typeset, write_page
 from hilbench.apps.report.plots import Drawing, DrawnAxes, Picture
@@ -20,7 +20,6 @@ _CAPTION: Final = (
     "Points: runs (round: twin, square: diagnosis) with the 95 % that they state; orange: the mean and its 95 % band, "
     "beyond the dotted line what is to come; red: a change, the limit."
 )
-COLUMNS: Final = ("Quantity", ">Runs", ">Days", ">Now", "95 %", ">Per day", "95 %", "Unit", "Trend")
 
 
 def write_history_page(stands: Mapping[str, Sequence[QuantityTrend]], path: Path) -> Path:
@@ -35,8 +34,8 @@ def write_history_page(stands: Mapping[str, Sequence[QuantityTrend]], path: Path
 
 def row(one: QuantityTrend) -> list[str]:
     """The table's text."""
-    cells = [one.name, str(len(one.rows)), str(one.days), *figures(one)]
-    return [cells[0], *(typeset(cell) for cell in cells[1:])]
+    name, *cells = figures(one)
+    return [name, *map(typeset, cells)]
 
 
 def picture(stand: str, one: QuantityTrend) -> Picture:

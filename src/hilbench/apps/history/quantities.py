@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from hilbench.apps.history.store import Row
-from hilbench.apps.history.trend import Change, Reached, Trend, trend
+from hilbench.apps.history.trend import Change, Trend, trend
 from hilbench.did_you_mean import expected_one_of
 from hilbench.errors import UnusableInputError
 
@@ -90,15 +90,18 @@ def date(time_s: float) -> str:
     return moment(time_s)[:10]
 
 
+COLUMNS: Final = ("Quantity", ">Runs", ">Days", ">Now", "95 %", ">Per day", "95 %", "Unit", "Trend")
+
+
 def figures(one: QuantityTrend) -> list[str]:
-    """A table's text: level and its 95 %, rate per day and its 95 %, unit, trend."""
-    found = one.trend
+    """A table's text, a cell for each of `COLUMNS`."""
+    found, counted = one.trend, (one.name, str(len(one.rows)), str(one.days))
     if found is None:
         last = one.rows[-1].quantity
-        return [f"{last.value:.5g}", f"± {_NORMAL_95 * last.sd:.2g}", "", "", one.unit, "one run or day"]
+        return [*counted, f"{last.value:.5g}", f"± {_NORMAL_95 * last.sd:.2g}", "", "", one.unit, "one run or day"]
     level, rate = (0.5 * (high - low) for low, high in (found.level_ci95, found.rate_ci95))
     now, per_day = (f"{found.level:.5g}", f"± {level:.2g}"), (f"{found.rate_per_d:+.2g}", f"± {rate:.2g}")
-    return [*now, *per_day, one.unit, found.direction or "none seen"]
+    return [*counted, *now, *per_day, one.unit, found.direction or "none seen"]
 
 
 def sentences(one: QuantityTrend) -> list[str]:
@@ -150,46 +153,29 @@ def as_data(one: QuantityTrend) -> dict[str, Any]:
         "first": moment(one.first_time_s),
         "last": moment(one.rows[-1].time_s),
         "stated_sd": one.stated_sd,
-        "trend": None if found is None else found.direction,
-        "level": None if found is None else {"value": found.level, "ci95": list(found.level_ci95)},
-        "rate_per_day": None if found is None else {"value": found.rate_per_d, "ci95": list(found.rate_ci95)},
-        "sure": None if found is None else found.sure,
-        "repeat_sd": None if found is None else found.repeat_sd,
-        "daily_sd": None if found is None else found.daily_sd,
-        "changes": [] if found is None else [_change(one, change) for change in found.changes],
-        "limit": None if one.limit is None else _limit_data(one),
+        "trend": found and found.direction,
+        "level": found and {"value": found.level, "ci95": list(found.level_ci95)},
+        "rate_per_day": found and {"value": found.rate_per_d, "ci95": list(found.rate_ci95)},
+        **{name: found and getattr(found, name) for name in ("sure", "repeat_sd", "daily_sd")},
+        "changes": [_change(one, change) for change in found.changes] if found else [],
+        "limit": None if one.limit is None else {"value": one.limit, "reached": _reached(one)},
         "values": [
-            {
-                "run": row.run,
-                "source": row.source,
-                "time": moment(row.time_s),
-                "value": row.quantity.value,
-                "sd": row.quantity.sd,
-                "tied_with": row.quantity.tied_with,
-            }
+            {"run": row.run, "source": row.source, "time": moment(row.time_s)}
+            | {name: getattr(row.quantity, name) for name in ("value", "sd", "tied_with")}
             for row in one.rows
         ],
     }
 
 
 def _change(one: QuantityTrend, change: Change) -> dict[str, Any]:
-    return {
-        "kind": change.kind,
-        "after": moment(one.time_s(change.after_d)),
-        "before": moment(one.time_s(change.before_d)),
-        "size": change.size,
-        "sd": change.sd,
-        "probability": change.probability,
-    }
+    between = {"after": moment(one.time_s(change.after_d)), "before": moment(one.time_s(change.before_d))}
+    return {"kind": change.kind, **between, "size": change.size, "sd": change.sd, "probability": change.probability}
 
 
-def _limit_data(one: QuantityTrend) -> dict[str, Any]:
-    reached = None if one.trend is None or not one.trend.reached else one.trend.reached[0]
-    return {"value": one.limit, "reached": None if reached is None else _reached(one, reached)}
-
-
-def _reached(one: QuantityTrend, reached: Reached) -> dict[str, Any]:
-    last_s = one.rows[-1].time_s
+def _reached(one: QuantityTrend) -> dict[str, Any] | None:
+    if one.trend is None or not one.trend.reached:
+        return None
+    reached, last_s = one.trend.reached[0], one.rows[-1].time_s
     days = {"expected": reached.median_d, "from": reached.from_d, "to": reached.to_d}
     return {
         f"{name}{suffix}": value

@@ -16,6 +16,7 @@ from typing import Final
 
 from hilbench.apps.library.database import connected
 from hilbench.errors import UnusableInputError
+from hilbench.files import make_folder
 from hilbench.topology.config import BenchConfig
 
 #: How long a run waits for another one that writes, s.
@@ -129,16 +130,14 @@ class History:
     def _connected(self, *, make: bool = False) -> Iterator[sqlite3.Connection]:
         if not make and not self.path.is_file():
             raise UnusableInputError(self.path, "no such file, expected the history of a stand (runs make it)")
+        make_folder(self.path.parent)
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
             with closing(connected(self.path, _TABLES, _VERSION, _PATIENCE_S, self._refuse)) as connection:
                 yield connection
         except sqlite3.OperationalError as error:
             raise UnusableInputError(self.path, f"cannot be used ({error}), expected a history of stands") from error
         except sqlite3.DatabaseError as error:
             raise UnusableInputError(self.path, f"is no history of stands ({error})") from error
-        except OSError as error:
-            raise UnusableInputError(self.path, f"cannot be made ({error.strerror}), expected a folder") from error
 
     def _refuse(self, connection: sqlite3.Connection, version: int) -> None:
         if version == 0:

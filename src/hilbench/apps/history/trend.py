@@ -108,12 +108,11 @@ def trend(
     *,
     limits: Sequence[float] = (),
     ahead_d: float = 0.0,
-    least_rate_per_d: float = 0.0,
 ) -> Trend | None:
     """The trend of values (n,) at days (n,), with stated standard deviations (n,); None where all runs are of one day.
 
     limits: values of which it is asked when they are reached; ahead_d: how far beyond the last run the band goes.
-    least_rate_per_d: slower ones are not reported. Raises ValueError for what is not finite.
+    Raises ValueError for what is not finite.
     """
     t, y, s = (np.asarray(given, np.float64) for given in (days, values, deviations))
     if not (np.all(np.isfinite(t)) and np.all(np.isfinite(y)) and np.all(np.isfinite(s)) and np.all(s >= 0.0)):
@@ -126,7 +125,7 @@ def trend(
     points = _Points.of(t, y, s)
     if len(points.t) < 2:
         return None
-    return _Average(points).trend(limits, ahead_d, least_rate_per_d, may_report=long_enough)
+    return _Average(points).trend(limits, ahead_d, may_report=long_enough)
 
 
 @dataclass(frozen=True)
@@ -331,7 +330,7 @@ class _Average:
         best = int(np.argmax(weights))
         return best if weights.sum() >= CHANGE_SURE and best not in chosen else None
 
-    def trend(self, limits: Sequence[float], ahead_d: float, least_rate_per_d: float, *, may_report: bool) -> Trend:
+    def trend(self, limits: Sequence[float], ahead_d: float, *, may_report: bool) -> Trend:
         """Trend by Bayesian model averaging."""
         points, scatter, middle, fit = self._points, self._points.scatter, self._points.middle, self._fit(self._chosen)
         band_d = np.unique(np.concatenate([points.t, np.linspace(points.t[0], self._end + ahead_d, 120)]))
@@ -340,12 +339,11 @@ class _Average:
         rate = np.array([0.0, 1.0, *(self._candidates.kinds == "kink")], np.float64)
         mixture = _Mixture.of(fit, np.vstack([levels[0], rate, levels[1:]]))  # level and rate at the end, the band
         means, deviations = mixture.moments()
-        rising = mixture.above(1, least_rate_per_d / scatter)
-        falling = 1.0 - mixture.above(1, -least_rate_per_d / scatter)
+        rising = mixture.above(1, 0.0)
+        sure = max(rising, 1.0 - rising)
         direction: Direction | None = None
-        if may_report and max(rising, falling) >= SURE:
-            direction = "rising" if rising > falling else "falling"
-        positive = mixture.above(1, 0.0)
+        if may_report and sure >= SURE:
+            direction = "rising" if rising > 0.5 else "falling"
         low, high = mixture.interval(0)
         rate_low, rate_high = mixture.interval(1)
         band, half = middle + scatter * means[2:], scatter * _NORMAL_95 * deviations[2:]
@@ -355,7 +353,7 @@ class _Average:
             level_ci95=(middle + scatter * low, middle + scatter * high),
             rate_per_d=scatter * float(means[1]),
             rate_ci95=(scatter * rate_low, scatter * rate_high),
-            sure=max(positive, 1.0 - positive),
+            sure=sure,
             direction=direction,
             repeat_sd=scatter * float(np.sqrt(variances @ self._repeat**2)),
             daily_sd=scatter * float(np.sqrt(variances @ self._daily**2)),

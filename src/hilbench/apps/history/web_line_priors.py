@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -44,14 +44,10 @@ def with_commissioned(loaded: LoadedConfig, runs: Path, warn: Callable[[str], No
     except UnusableInputError as error:
         warn(f"without what was commissioned: {error}")
         return loaded
-    priors = list(filter(None, (_prior(row, model) for row in _newest(rows))))
+    newest_s = max((row.time_s for row in rows), default=0.0)
+    priors = list(filter(None, (_prior(row, model) for row in rows if row.time_s == newest_s)))
     changed = twin.model_copy(update={"priors": priors})
     return replace(loaded, config=config.model_copy(update={"twin": changed})) if priors else loaded
-
-
-def _newest(rows: Sequence[Row]) -> list[Row]:
-    last_s = max((row.time_s for row in rows), default=0.0)
-    return [row for row in rows if row.time_s == last_s]
 
 
 def _prior(row: Row, model: ModelParameters) -> Prior | None:

@@ -51,16 +51,9 @@ _DIR = Path("runs")
 #: Runs that a table shows unless asked for more.
 _SHOWN = 50
 _COLOURS = {
-    "passed": "green",
-    "marginal": "yellow",
-    "failed": "red",
-    "completed": "yellow",
-    "error": "red",
-    "fault": "red",
-    "interrupted": "yellow",
-    "unfinished": "yellow",
-    "running": "cyan",
-    "not covered": "yellow",
+    **dict.fromkeys(("failed", "error", "fault"), "red"),
+    **dict.fromkeys(("marginal", "completed", "interrupted", "unfinished", "not covered"), "yellow"),
+    **{"passed": "green", "running": "cyan"},
 }
 
 
@@ -178,19 +171,10 @@ def _print_table(found: Sequence[RunEntry], metrics: Sequence[str]) -> None:
     headings = ["run", "began", "result", "criteria", "duration", *metrics, "tags", *(["set"] if settings else [])]
     rows = []
     for run in found:
-        values = values_of(run, metrics)
-        rows.append(
-            [
-                run.path,
-                run.began,
-                run.state,
-                run.held,
-                "" if run.duration_s is None else f"{run.duration_s:.1f} s",
-                *(_text(values.get(name)) for name in metrics),
-                ", ".join(run.tags),
-                *([", ".join(f"{key}={_text(value)}" for key, value in run.settings.items())] if settings else []),
-            ]
-        )
+        values, duration = values_of(run, metrics), "" if run.duration_s is None else f"{run.duration_s:.1f} s"
+        measured, tags = (_text(values.get(name)) for name in metrics), ", ".join(run.tags)
+        given = [", ".join(f"{key}={_text(value)}" for key, value in run.settings.items())] if settings else []
+        rows.append([run.path, run.began, run.state, run.held, duration, *measured, tags, *given])
     _print_rows(headings, rows, right={"criteria", "duration", *metrics}, coloured="result")
 
 
@@ -474,20 +458,13 @@ def gc(
     _delete([(runs / each.run.path, each.why) for each in deletions], yes=yes)
 
 
-_UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12, "KIB": 2**10, "MIB": 2**20, "GIB": 2**30}
-
-
 def _bytes(text: str) -> int:
-    number = text.strip().rstrip("BKMGTIbkmgti ")
-    unit = text.strip()[len(number) :].strip().upper()
-    unit = unit if unit in _UNITS else f"{unit}B"
+    from pydantic import ByteSize, TypeAdapter, ValidationError
+
     try:
-        size = float(number)
-    except ValueError:
-        size = -1.0
-    if size < 0.0 or unit not in _UNITS:
-        raise UnusableInputError("--max-size", f"'{text}', expected a size such as 500MB or 20GB")
-    return int(size * _UNITS[unit])
+        return TypeAdapter(ByteSize).validate_python(text)
+    except ValidationError as error:
+        raise UnusableInputError("--max-size", f"'{text}', expected a size such as 500MB or 20GB") from error
 
 
 @app.command()

@@ -12,6 +12,7 @@ from hilbench.apps.library.entry import RunEntry
 from hilbench.apps.library.index import is_run
 from hilbench.apps.library.live_run import continues
 from hilbench.errors import UnusableInputError
+from hilbench.files import usable
 from hilbench.results.run_folder import RunFolder
 
 
@@ -85,13 +86,9 @@ def delete(path: Path) -> None:
     check_deletable(path)
     path = path.resolve()
     going = path.with_name(f".deleted.{os.getpid()}.{path.name}")
-    try:
+    with usable(path, "deleted", "a folder of one's own"):
         path.rename(going)
         shutil.rmtree(going)
-    except OSError as error:
-        raise UnusableInputError(
-            path, f"cannot be deleted ({error.strerror}), expected a folder of one's own"
-        ) from error
 
 
 def delete_all(paths: Sequence[Path]) -> dict[Path, UnusableInputError]:

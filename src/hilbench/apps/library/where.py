@@ -16,16 +16,14 @@ from typing import Any, Final
 
 from hilbench.errors import UnusableInputError
 
-#: None is what is not known.
-Value = float | str | bool | tuple[str, ...] | None
-_Evaluate = Callable[[Mapping[str, Any]], Value]
-
 _LONGEST: Final = 500
-_NUMBERS: Final[dict[type[ast.operator], Callable[[float, float], float]]] = {
+_NUMBERS: Final[dict[type[ast.AST], Callable[..., float | None]]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
+    ast.Div: lambda a, b: a / b if b else None,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
 }
 _ORDERS: Final[dict[type[ast.cmpop], Callable[[Any, Any], bool]]] = {
     ast.Lt: operator.lt,
@@ -46,7 +44,7 @@ class Condition:
 
     text: str
     names: frozenset[str]
-    _evaluate: _Evaluate
+    _tree: ast.expr
 
     def holds(self, values: Mapping[str, Any]) -> bool:
         """Whether it is true of a run with these values; of a name that is not among them nothing is known.
@@ -54,7 +52,7 @@ class Condition:
         Raises UnusableInputError for a text that is compared with a number.
         """
         try:
-            return self._evaluate(values) is True
+            return _value(self._tree, values.get) is True
         except (TypeError, OverflowError) as error:
             raise _unusable(self.text, " ".join(str(error).split())) from error
 
@@ -65,65 +63,51 @@ def parse_condition(text: str) -> Condition:
         raise _unusable(text[:40] + "…", f"{len(text)} characters, expected at most {_LONGEST}")
     names: set[str] = set()
     try:
-        evaluate = _node(ast.parse(text.strip(), mode="eval").body, text, names)
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        tree = ast.parse(text.strip(), mode="eval").body
+        _value(tree, names.add)  # of what nothing is known: each part of it is looked at
+    except (SyntaxError, ValueError, TypeError, OverflowError, RecursionError, MemoryError) as error:
         message = error.msg if isinstance(error, SyntaxError) else str(error)
         raise _unusable(text, f"is none ({' '.join(message.split())}), {_EXPECTED}") from error
-    return Condition(text, frozenset(names), evaluate)
+    return Condition(text, frozenset(names), tree)
 
 
 def _unusable(text: str, problem: str) -> UnusableInputError:
     return UnusableInputError(f"--where {text!r}", problem)
 
 
-def _node(node: ast.expr, text: str, names: set[str]) -> _Evaluate:
-    """How a part of a condition is evaluated. Raises UnusableInputError for one that has no place in it."""
+def _value(node: ast.expr, known: Callable[[str], Any]) -> Any:
+    """Value of a part of a condition; None is what is not known. Raises ValueError for one that has no place in it,
+    TypeError for one that is of another kind than it should be."""
     match node:
-        case ast.Constant(value=bool() | int() | float() | str() | None as value):
-            constant: Value = float(value) if isinstance(value, int) and not isinstance(value, bool) else value
-            return lambda values: constant
-        case ast.Name() | ast.Attribute():
-            name = ast.unparse(node) if _is_dotted(node) else None
-            if name is None:
-                raise _unusable(text, f"'{ast.unparse(node)}', expected a name")
-            names.add(name)
-            return lambda values: values.get(name)
-        case ast.BoolOp(op=op, values=parts):
-            decisive = isinstance(op, ast.Or)
-            each = [_node(part, text, names) for part in parts]
-            return lambda values: _joined([part(values) for part in each], decisive)
-        case ast.UnaryOp(op=ast.Not(), operand=operand):
-            inner = _node(operand, text, names)
-            return lambda values: None if (found := inner(values)) is None else not found
-        case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
-            inner, factor = _node(operand, text, names), -1.0 if isinstance(sign, ast.USub) else 1.0
-            return lambda values: None if (found := inner(values)) is None else factor * _number(found)
-        case ast.BinOp(left=left, op=op, right=right) if type(op) in _NUMBERS:
-            return _arithmetic(_NUMBERS[type(op)], _node(left, text, names), _node(right, text, names))
-        case ast.Compare(left=left, ops=ops, comparators=others):
-            if any(isinstance(op, ast.Is | ast.IsNot) for op in ops) and not _is_for_none(ops, others):
-                raise _unusable(text, f"'is', expected 'is None' or 'is not None', {_EXPECTED}")
-            return _comparison(ops, [_node(each, text, names) for each in (left, *others)])
-        case ast.Call(func=ast.Name(id="abs"), args=[argument], keywords=[]):
-            inner = _node(argument, text, names)
-            return lambda values: None if (found := inner(values)) is None else abs(_number(found))
+        case ast.Constant(value=bool() | int() | float() | str() | None):
+            return node.value
+        case ast.Name() | ast.Attribute() if all(part.isidentifier() for part in ast.unparse(node).split(".")):
+            return known(ast.unparse(node))
         case ast.Tuple(elts=parts) | ast.List(elts=parts):
-            each = [_node(part, text, names) for part in parts]
-            return lambda values: tuple(part(values) for part in each)  # type: ignore[misc]
-    raise _unusable(text, f"'{ast.unparse(node)}' has no place in it, {_EXPECTED}")
+            return tuple(_value(part, known) for part in parts)
+        case ast.BoolOp(op=op, values=parts):
+            return _joined([_value(part, known) for part in parts], decisive=isinstance(op, ast.Or))
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            return None if (found := _value(operand, known)) is None else not found
+        case ast.Compare(left=left, ops=[ast.Is() | ast.IsNot() as op], comparators=[ast.Constant(value=None)]):
+            return (_value(left, known) is None) == isinstance(op, ast.Is)
+        case ast.Compare(left=left, ops=ops, comparators=others):
+            if not all(type(op) in _ORDERS for op in ops):
+                raise ValueError("'is', expected 'is None' or 'is not None'")
+            compared = [_value(part, known) for part in (left, *others)]
+            if None in compared:
+                return None
+            return all(_ORDERS[type(op)](a, b) for op, a, b in zip(ops, compared, compared[1:], strict=False))
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in _NUMBERS:
+            return _of_numbers(_NUMBERS[type(op)], _value(operand, known))
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _NUMBERS:
+            return _of_numbers(_NUMBERS[type(op)], _value(left, known), _value(right, known))
+        case ast.Call(func=ast.Name(id="abs"), args=[argument], keywords=[]):
+            return _of_numbers(abs, _value(argument, known))
+    raise ValueError(f"'{ast.unparse(node)}' has no place in it")
 
 
-def _is_dotted(node: ast.expr) -> bool:
-    return isinstance(node, ast.Name) or (isinstance(node, ast.Attribute) and _is_dotted(node.value))
-
-
-def _number(value: Value) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{value!r} is no number")
-    return value
-
-
-def _joined(found: list[Value], decisive: bool) -> Value:
+def _joined(found: list[Any], decisive: bool) -> bool | None:
     """And, or (`decisive`: the value of one that settles it), with what is unknown."""
     for value in found:
         if value is not None and not isinstance(value, bool):
@@ -133,29 +117,8 @@ def _joined(found: list[Value], decisive: bool) -> Value:
     return None if None in found else not decisive
 
 
-def _arithmetic(apply: Callable[[float, float], float], left: _Evaluate, right: _Evaluate) -> _Evaluate:
-    def evaluate(values: Mapping[str, Any]) -> Value:
-        a, b = left(values), right(values)
-        if a is None or b is None or (apply is operator.truediv and b == 0.0):
-            return None
-        return apply(_number(a), _number(b))
-
-    return evaluate
-
-
-def _is_for_none(ops: list[ast.cmpop], others: list[ast.expr]) -> bool:
-    return len(ops) == 1 and isinstance(others[0], ast.Constant) and others[0].value is None
-
-
-def _comparison(ops: list[ast.cmpop], parts: list[_Evaluate]) -> _Evaluate:
-    """One comparison after the other, as ``0.1 < x < 0.2``."""
-
-    def evaluate(values: Mapping[str, Any]) -> Value:
-        found = [part(values) for part in parts]
-        if isinstance(ops[0], ast.Is | ast.IsNot):
-            return (found[0] is None) == isinstance(ops[0], ast.Is)
-        if None in found:
-            return None
-        return all(_ORDERS[type(op)](a, b) for op, a, b in zip(ops, found, found[1:], strict=False))
-
-    return evaluate
+def _of_numbers(apply: Callable[..., float | None], *values: Any) -> float | None:
+    for value in values:
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+            raise TypeError(f"{value!r} is no number")
+    return None if None in values else apply(*values)

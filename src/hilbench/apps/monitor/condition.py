@@ -65,15 +65,13 @@ class BenchWatch:
 
     def text(self, now_s: float) -> str:
         """The condition with what is known of it."""
+        alive = self._master_s is not None and now_s - self._master_s <= SILENCE_S
+        why = "the bench pauses" if alive else "nothing of the bench either"
+        known = {
+            Condition.EMERGENCY_STOP: ": an emergency stop was received, nodes are not started again yet",
+            Condition.ENDED: ": the bench has let its nodes go",
+            Condition.STALE: f": no SYNC for {now_s - (self._sync_s or 0.0):.0f} s, {why}",
+            Condition.NOT_RECEIVED: ": no SYNC on this bus yet (a run --in-process is on none)",
+        }
         condition = self.condition(now_s)
-        if condition is Condition.EMERGENCY_STOP:
-            return f"{condition.value}: an emergency stop was received, nodes are not started again yet"
-        if condition is Condition.ENDED:
-            return f"{condition.value}: the bench has let its nodes go"
-        if condition is Condition.STALE:
-            alive = self._master_s is not None and now_s - self._master_s <= SILENCE_S
-            why = "the bench pauses" if alive else "nothing of the bench either"
-            return f"{condition.value}: no SYNC for {now_s - (self._sync_s or 0.0):.0f} s, {why}"
-        if condition is Condition.NOT_RECEIVED:
-            return f"{condition.value}: no SYNC on this bus yet (a run --in-process is on none)"
-        return str(condition.value)
+        return f"{condition.value}{known.get(condition, '')}"

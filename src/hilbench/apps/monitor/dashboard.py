@@ -12,7 +12,7 @@ from contextlib import suppress
 from functools import partial
 from math import floor, log10
 from textwrap import wrap
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar
 
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
@@ -44,35 +44,26 @@ _WHAT_IF_KEY = "w"
 _STOP_KEY = "e"
 _STOP_HINT = f"{_STOP_KEY}: EMERGENCY STOP"
 
-Answered = TypeVar("Answered")
 
+class _Dialogue(ModalScreen[Any]):
+    """Asks for one of some answers, each by its key; Esc gives none."""
 
-class _Dialogue(ModalScreen[Answered]):
-    """Asks for an answer by a key."""
-
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, answers: Mapping[str, object]) -> None:
         super().__init__()
         self._text = text
+        for key, answer in {"escape": None, **answers}.items():
+            self._bindings.bind(key, f"dismiss({answer!r})")
 
     def compose(self) -> ComposeResult:
         """The question."""
         yield Static(self._text, classes="dialogue")
 
 
-class _Question(_Dialogue[bool]):
-    """Asks once more; only `y` means yes."""
-
-    BINDINGS: ClassVar[list[BindingType]] = [("y", "dismiss(True)", "yes"), ("n,escape", "dismiss(False)", "no")]
-
-    def __init__(self, text: str, hint: str = f"y: yes   n: no   {_STOP_HINT}") -> None:
-        super().__init__(f"{text}\n{hint}")
-
-
-class _StopQuestion(_Question):
+class _StopQuestion(_Dialogue):
     """Confirmation of the emergency stop; the key that asked for it means yes as well."""
 
     def __init__(self) -> None:
-        super().__init__("Stop every device on the bus?", f"y or {_STOP_KEY}: STOP   n: no")
+        super().__init__(f"Stop every device on the bus?\ny or {_STOP_KEY}: STOP   n: no", {"y": True, "n": False})
 
 
 class _Number(Input):
@@ -83,37 +74,11 @@ class _Number(Input):
         return key != _STOP_KEY and super().check_consume_key(key, character)
 
 
-class _YesOrNo(_Dialogue[bool | None]):
-    """Asks for one of two answers; Esc gives none."""
-
-    BINDINGS: ClassVar[list[BindingType]] = [
-        ("y", "dismiss(True)", "yes"),
-        ("n", "dismiss(False)", "no"),
-        ("escape", "dismiss(None)", "leave it"),
-    ]
-
-    def __init__(self, title: str, yes: str, no: str) -> None:
-        super().__init__(f"{title}?\ny: {yes}\nn: {no}\nEsc leaves it   {_STOP_HINT}")
-
-
-class _OneOf(_Dialogue[str | None]):
-    """Asks for one of some quantities, each by its key."""
-
-    def __init__(self, quantities: Mapping[str, MainQuantity]) -> None:
-        lines = [f"{key}: {quantity.title}" for key, quantity in quantities.items()]
-        super().__init__("\n".join(["What if another", *lines, f"Esc leaves it   {_STOP_HINT}"]))
-        for key in quantities:
-            self._bindings.bind(key, f"dismiss('{key}')")
-        self._bindings.bind("escape", "dismiss(None)")
-
-
-class _NewValue(_Dialogue[float | None]):
+class _NewValue(_Dialogue):
     """Asks for a number."""
 
-    BINDINGS: ClassVar[list[BindingType]] = [("escape", "dismiss(None)", "leave it")]
-
     def __init__(self, text: str, low: float, high: float, unit: str) -> None:
-        super().__init__(f"{text} in {unit} ({low:g} to {high:g}); Esc leaves it")
+        super().__init__(f"{text} in {unit} ({low:g} to {high:g}); Esc leaves it", {})
         self._range = Number(low, high)
 
     def compose(self) -> ComposeResult:
@@ -217,7 +182,8 @@ class Dashboard(App[None]):
             if yes:
                 self._noted_when_answered(self._changes.ask(quantity, value), value)
 
-        self.push_screen(_Question(f"Set {quantity.title} to {value:g} {quantity.in_unit}?"), ask)
+        text = f"Set {quantity.title} to {value:g} {quantity.in_unit}?\ny: yes   n: no   {_STOP_HINT}"
+        self.push_screen(_Dialogue(text, {"y": True, "n": False}), ask)
 
     def action_switch(self, key: str) -> None:
         """Ask for yes or no, and tell the bench."""
@@ -227,11 +193,14 @@ class Dashboard(App[None]):
             if on is not None:
                 self._noted_when_answered(self._changes.send(switch, on), float(on))
 
-        self.push_screen(_YesOrNo(switch.title, switch.yes, switch.no), send)
+        text = f"{switch.title}?\ny: {switch.yes}\nn: {switch.no}\nEsc leaves it   {_STOP_HINT}"
+        self.push_screen(_Dialogue(text, {"y": True, "n": False}), send)
 
     def action_what_if(self) -> None:
         """Ask of what, and for which value, to look ahead; nothing is sent that moves anything."""
-        self.push_screen(_OneOf(self._changes.foreseeable), self._of_what)
+        lines = [f"{key}: {quantity.title}" for key, quantity in self._changes.foreseeable.items()]
+        text = "\n".join(["What if another", *lines, f"Esc leaves it   {_STOP_HINT}"])
+        self.push_screen(_Dialogue(text, {key: key for key in self._changes.foreseeable}), self._of_what)
 
     def _of_what(self, key: str | None) -> None:
         if key is None:

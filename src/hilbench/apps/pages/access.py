@@ -13,10 +13,11 @@ import ipaddress
 import secrets
 import socket
 from collections import OrderedDict
-from http.cookies import CookieError, SimpleCookie
+from contextlib import suppress
 from typing import Final
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
@@ -79,21 +80,11 @@ class Access:
         name = name.strip("[]").lower()
         return port == str(self.port) and (name in self._names or _is_address(name))
 
-    def session_of(self, headers: Headers) -> str:
-        """The session cookie of a request, "" for none."""
-        try:
-            found = SimpleCookie(headers.get("cookie", "")).get(self.cookie)
-        except CookieError:
-            return ""
-        return "" if found is None else found.value
-
 
 def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
+    with suppress(ValueError):
+        return bool(ipaddress.ip_address(name))
+    return False
 
 
 class Guard:
@@ -134,7 +125,7 @@ class Guard:
             return 413, f"expected a body of at most {_LARGEST_BODY} bytes"
         if path in _PUBLIC or path.startswith(_PUBLIC_FOLDER):
             return None
-        if not self._access.knows(self._access.session_of(headers)):
+        if not self._access.knows(HTTPConnection(scope).cookies.get(self._access.cookie, "")):
             return 401, "open the address that hilbench has printed in its terminal"
         return None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -66,9 +65,15 @@ def monitor(
     from hilbench.errors import UnusableInputError
 
     if browser:
-        _serve(config, bus, pace, runs, host, port)
+        from hilbench.apps.pages.server import LOOPBACK, PORT, serve
+
+        bench = None if config.is_dir() else load_config(config, bus=bus, pace=pace).config
+        base = config if bench is None else runs or Path("runs")
+        serve(bench, base, host or LOOPBACK, PORT if port is None else port, lambda line: print(line, flush=True))
         return
-    _refuse_without_browser({"--host": host, "--port": port})
+    for option, value in (("--host", host), ("--port", port)):
+        if value is not None:
+            raise UnusableInputError(option, f"'{value}' without --browser, expected both or none")
     if not json and not sys.stdout.isatty():
         raise UnusableInputError("standard output", "no terminal, expected one for the dashboard, or --json")
     loaded = load_config(config, bus=bus, pace=pace).config
@@ -87,26 +92,6 @@ def monitor(
         changes = ChangeRequests(loaded, lambda: SdoClient(open_python_can(address, SDO_ANSWERS), PATIENCE_S))
         resources.callback(changes.close)
         Dashboard(picture, link, changes, operator_journal).run()
-
-
-def _serve(
-    config: Path, bus: str | None, pace: str | None, runs: Path | None, host: str | None, port: int | None
-) -> None:
-    from hilbench.apps.pages.server import LOOPBACK, PORT, serve
-
-    if config.is_dir():
-        bench, base = None, config
-    else:
-        bench, base = load_config(config, bus=bus, pace=pace).config, runs or Path("runs")
-    serve(bench, base, host or LOOPBACK, PORT if port is None else port, lambda line: print(line, flush=True))
-
-
-def _refuse_without_browser(given: Mapping[str, object]) -> None:
-    from hilbench.errors import UnusableInputError
-
-    for option, value in given.items():
-        if value is not None:
-            raise UnusableInputError(option, f"'{value}' without --browser, expected both or none")
 
 
 def _print(picture: BusPicture, link: Link, duration_s: float) -> None:

@@ -17,10 +17,10 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
 from hilbench.apps.library.live_run import LiveRun
-from hilbench.apps.library.query import Library
 from hilbench.apps.pages.live.controls import ControlAnswer, ControlLock, Viewer
 from hilbench.apps.pages.live.listener import Listener
 from hilbench.apps.pages.live.viewer import Viewers
+from hilbench.apps.pages.runs import folder_of
 from hilbench.apps.report.page import page_text
 from hilbench.block import Strict
 from hilbench.can.confinement import ControllerState
@@ -139,21 +139,13 @@ def routes(base: Path) -> list[BaseRoute]:
     """The pages of the ended runs in a folder."""
     playing: set[Listener] = set()
 
-    def folder_of(name: str) -> RunFolder | None:
-        # By the names that are there: what is asked for never becomes a path.
-        try:
-            known = {run.path for run in Library(base).runs()}
-        except UnusableInputError:
-            known = set()
-        return RunFolder(base / name) if name in known else None
-
     async def show(request: Request) -> Response:
-        if await asyncio.to_thread(folder_of, request.path_params["name"]) is None:
+        if await asyncio.to_thread(folder_of, base, request.path_params["name"]) is None:
             raise HTTPException(404, "no such run")
         return HTMLResponse(page_text("pages/front", live=True, replay=True))
 
     async def play(socket: WebSocket) -> None:
-        folder = await asyncio.to_thread(folder_of, socket.path_params["name"])
+        folder = await asyncio.to_thread(folder_of, base, socket.path_params["name"])
         try:
             if folder is None:
                 raise UnusableInputError("run", "no such run")

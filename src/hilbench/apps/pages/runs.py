@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 from urllib.parse import quote
@@ -23,6 +24,14 @@ _REPORT_POLICY: Final = "sandbox allow-scripts; frame-ancestors 'none'; img-src 
 _LIST_POLICY: Final = "frame-ancestors 'none'; base-uri 'none'; form-action 'none'; "
 
 
+def folder_of(base: Path, name: str) -> RunFolder | None:
+    """The run of a name in a folder. What is asked for never becomes a path: it is one of those that are there."""
+    with suppress(UnusableInputError):
+        if any(run.path == name for run in Library(base).runs()):
+            return RunFolder(base / name)
+    return None
+
+
 def routes(base: Path, *, replays: bool = False) -> list[BaseRoute]:
     """The pages of the runs in a folder; `replays`: each can be played again (`hilbench.apps.pages.replay`)."""
 
@@ -33,17 +42,12 @@ def routes(base: Path, *, replays: bool = False) -> list[BaseRoute]:
             return PlainTextResponse(f"No runs: {error}", 404)
         replay: Link | None = (lambda run: f"/replay/{quote(run.path)}") if replays else None
         program = Program("library/runs.js", page_data(runs, lambda run: f"/runs/{quote(run.path)}/report", replay))
-        policies = {"Content-Security-Policy": _LIST_POLICY + policy(program.scripts())}
+        policies = {"Content-Security-Policy": _LIST_POLICY + policy(scripts(program.file))}
         return HTMLResponse(runs_text(base, runs, runs, program), headers=policies)
 
     def report_of(name: str) -> Response:
-        try:
-            # By the names that are there: what is asked for never becomes a path.
-            known = {run.path for run in Library(base).runs()}
-        except UnusableInputError:
-            known = set()
-        folder = RunFolder(base / name)
-        if name not in known or not folder.report.is_file():
+        folder = folder_of(base, name)
+        if folder is None or not folder.report.is_file():
             raise HTTPException(404, "no such report")
         policies = {"Content-Security-Policy": _REPORT_POLICY + policy(scripts())}
         return FileResponse(folder.report, media_type="text/html; charset=utf-8", headers=policies)

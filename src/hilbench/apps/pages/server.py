@@ -74,7 +74,7 @@ def site(access: Access, rooms: Sequence[BaseRoute], viewers: Viewers | None = N
     async def session(request: Request) -> Response:
         if request.method == "POST":
             return session_opened(access, request.headers.get("authorization", ""))
-        return Response(status_code=204 if access.knows(access.session_of(request.headers)) else 401)
+        return Response(status_code=204 if access.knows(request.cookies.get(access.cookie, "")) else 401)
 
     async def live(socket: WebSocket) -> None:
         assert viewers is not None, "the route is only there with them"

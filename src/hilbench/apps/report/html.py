@@ -18,8 +18,7 @@ from hilbench.apps.report.page import number, quantity, write_page
 from hilbench.apps.report.panel import recorded_panels
 from hilbench.apps.report.plots import Drawing, DrawnAxes, ImageFormat, Picture, draw_histogram, run_pictures, zooms
 from hilbench.apps.report.web_line_drawing import line_picture
-from hilbench.errors import UnusableInputError
-from hilbench.files import make_folder, written_whole
+from hilbench.files import make_folder, usable, written_whole
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
 from hilbench.results.provenance import Provenance
@@ -165,7 +164,8 @@ def write_report(run_folder: RunFolder) -> Path:
     or the report cannot be written.
     """
     recording, result = read_recording(run_folder.recording), Result.read(run_folder.result)
-    config = _read_text(run_folder.config)
+    with usable(run_folder.config, "read", "the run's config"):
+        config = run_folder.config.read_text(encoding="utf-8")
     shown = ReportPictures.of(run_folder, recording, result)
     steps, timing = result.steps or [], result.timing
     return write_page(
@@ -255,14 +255,6 @@ def write_pictures(run_folder: RunFolder, into: Path, form: ImageFormat) -> list
             partial.write_bytes(picture.as_file(form))
         written.append(path)
     return written
-
-
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise UnusableInputError(path, f"cannot be read ({reason}), expected the run's config") from error
 
 
 def marks_of(result: Result | None, recording: Recording) -> list[Mark]:

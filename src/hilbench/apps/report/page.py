@@ -62,35 +62,19 @@ class _Table:
         return len(self.columns) - 1
 
 
-def interactive(pictures: Sequence[Picture], marks: Sequence[Mark] = ()) -> str:
-    """Markup at the end of a page that makes its pictures interactive, each in the element with its `data-picture`."""
-    shown = [picture for picture in pictures if picture.charts]
-    if not shown:
-        return ""
-    return _markup(_page_data(shown, marks), scripts())
-
-
 @dataclass(frozen=True)
 class Program:
-    """A script of our own (a file of the apps), with its data, for a page that is more than pictures."""
+    """A script of our own (a file of the apps), with its data."""
 
     file: str
     data: Any
 
-    def scripts(self) -> tuple[str, ...]:
-        """What it draws with, and the script."""
-        return _with_uplot(self.file)
-
     def markup(self) -> str:
         """What stands at the end of the page."""
-        return _markup(self.data, self.scripts())
-
-
-def _markup(data: Any, code: Sequence[str]) -> str:
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    inert = text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-    programs = "".join(f"<script>{each}</script>\n" for each in code)
-    return f'<script type="application/json" id="hilbench-data">{inert}</script>\n{programs}'
+        text = json.dumps(self.data, separators=(",", ":"), allow_nan=False)
+        inert = text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+        programs = "".join(f"<script>{each}</script>\n" for each in scripts(self.file))
+        return f'<script type="application/json" id="hilbench-data">{inert}</script>\n{programs}'
 
 
 @cache
@@ -98,18 +82,9 @@ def _read(path: str) -> str:
     return resources.files("hilbench.apps").joinpath(path).read_text(encoding="utf-8")
 
 
-def scripts() -> tuple[str, ...]:
-    """The scripts of a page of pictures: uPlot as it was published, and what draws with it."""
-    return _with_uplot("report/live.js")
-
-
-def _with_uplot(file: str) -> tuple[str, ...]:
+def scripts(file: str = "report/live.js") -> tuple[str, ...]:
+    """The scripts of a page, of pictures or another program: uPlot as it was published, and what draws with it."""
     return tuple(map(_read, ("report/uplot/uPlot.iife.min.js", "report/axes.js", file)))
-
-
-def style() -> str:
-    """uPlot's own style sheet."""
-    return _read("report/uplot/uPlot.min.css")
 
 
 @cache
@@ -141,12 +116,8 @@ def _page_data(pictures: Sequence[Picture], marks: Sequence[Mark]) -> dict[str, 
             "y": chart.y_label,
             "least": chart.least,
             "curves": [
-                {
-                    "label": each.name,
-                    "width": each.width,
-                    "dash": list(each.dash),
-                    **shown(each, {"column": each.values}),
-                }
+                {"label": each.name, "width": each.width, "dash": list(each.dash)}
+                | shown(each, {"column": each.values})
                 for each in chart.curves
             ],
             "bands": [shown(each, {"low": each.low, "high": each.high}) for each in chart.bands],
@@ -161,20 +132,13 @@ def _page_data(pictures: Sequence[Picture], marks: Sequence[Mark]) -> dict[str, 
         ],
         "plots": plots,
         "marks": [
-            {
-                "from": mark.start_s,
-                "to": mark.end_s if mark.lasts else mark.start_s,
-                "text": mark.text,
-                "n": mark.number,
-            }
+            {"from": mark.start_s, "to": mark.end_s if mark.lasts else mark.start_s}
+            | {"text": mark.text, "n": mark.number}
             for mark in marks
         ],
         "zooms": [
-            {
-                "text": f"{mark.number}: {mark.text}",
-                "from": mark.start_s - _ZOOM_BEFORE_S,
-                "to": mark.end_s + ZOOM_AFTER_S,
-            }
+            {"text": f"{mark.number}: {mark.text}"}
+            | {"from": mark.start_s - _ZOOM_BEFORE_S, "to": mark.end_s + ZOOM_AFTER_S}
             for mark in marks
             if mark.number
         ][:_MOST_BUTTONS],
@@ -213,8 +177,9 @@ def page_text(
 ) -> str:
     """Fill the template ``APP/NAME`` with `data`; the pictures `zoomable`, with their marks, become interactive, and
     `program` runs."""
-    markup = program.markup() if program else interactive(zoomable, marks)
-    rules = policy(program.scripts() if program else scripts())
+    shown = [picture for picture in zoomable if picture.charts]
+    program = program or Program("report/live.js", _page_data(shown, marks) if shown else None)
+    markup, rules = "" if program.data is None else program.markup(), policy(scripts(program.file))
     app, name = template.split("/")
     return _templates().get_template(f"{app}/templates/{name}.html.j2").render(scripts=markup, policy=rules, **data)
 
@@ -228,8 +193,8 @@ def _templates() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    own = resources.files("hilbench.apps").joinpath("report", "page.css").read_text(encoding="utf-8")
-    environment.globals.update(style=f"{style()}\n{own}", zip=zip)
+    style = f"{_read('report/uplot/uPlot.min.css')}\n{_read('report/page.css')}"
+    environment.globals.update(style=style, zip=zip)
     environment.filters.update(number=number, quantity=quantity)
     return environment
 

@@ -54,10 +54,6 @@ def failed_or_passed(name: str, reason: str = "") -> CriterionResult:
     )
 
 
-def _nowhere(text: str) -> None:
-    """Ignore progress messages."""
-
-
 def _on_standard_error(text: str) -> None:
     print(f"hilbench: {text}", file=sys.stderr)
 
@@ -105,8 +101,9 @@ class Bench(bench.Bench):
             check_in_process(loaded.config)
         self._recorder = Recorder(loaded.config.signals)
         self._made = datetime.now(UTC)
+        tell = announce or (lambda text: None)
         if (known := commissioned_text(loaded.config.twin.priors, self._made)) is not None:
-            (announce or _nowhere)(known)
+            tell(known)
         self._happened = EventLog(loaded.config.cycle_time_s)
         self._loaded, self._name = loaded, name
         self._out = None if out is None else Path(out)
@@ -117,7 +114,7 @@ class Bench(bench.Bench):
             loaded.config,
             observers=[self._recorder],
             participants=participants,
-            announce=announce or _nowhere,
+            announce=tell,
             warn=announce or _on_standard_error,
             journal=self._note_change,
             may_idle=True,

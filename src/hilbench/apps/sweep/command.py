@@ -78,18 +78,18 @@ _MOST_ROWS = 50
 def _show(made: Sweep) -> None:
     """The table: what was varied, the verdict and the metrics that are judged."""
     from rich.console import Console
-    from rich.table import Table
+
+    from hilbench.apps.cli.tables import table
 
     metrics, rows = made.shown_metrics(), [made.rows[number] for number in sorted(made.rows)]
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for heading in ("run", *made.varied, "", *metrics):
-        table.add_column(heading, overflow="fold", justify="left" if heading == "" else "right")
+    lines = []
     for row in rows[:_MOST_ROWS]:
         verdict = {True: "passed", None: "completed"}.get(row.passed, f"exit code {row.exit_code}")
         figures = [row.metrics.get(name) for name in metrics]
         varied = [row.changes.get(name, "") for name in made.varied]
-        table.add_row(str(row.number), *varied, verdict, *("-" if each is None else f"{each:.4g}" for each in figures))
-    Console(highlight=False).print(table)
+        lines.append((str(row.number), *varied, verdict, *("-" if each is None else f"{each:.4g}" for each in figures)))
+    columns = (">run", *(f">{name}" for name in made.varied), "", *(f">{name}" for name in metrics))
+    Console(highlight=False).print(table(columns, lines))
     if len(rows) > _MOST_ROWS:
         print(f"the first {_MOST_ROWS} of {len(rows)} runs")
 

@@ -330,18 +330,22 @@ class Sweep:
 
     def write_table(self) -> Path:
         """`results.csv`: a row a run, in order; what was varied, exit code, metrics, folder."""
-        paths = self.varied
-        metrics = list(dict.fromkeys(name for row in self.rows.values() for name in row.metrics))
+        metrics = dict.fromkeys(name for row in self.rows.values() for name in row.metrics)
         path = self.out / _TABLE
         with written_whole(path) as partial, open(partial, "w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(["number", *paths, "exit_code", "passed", *metrics, "run", "said"])
-            for number in sorted(self.rows):
-                row = self.rows[number]
-                varied = [row.changes.get(name, "") for name in paths]
-                values = ["" if row.metrics.get(name) is None else row.metrics[name] for name in metrics]
-                writer.writerow([number, *varied, row.exit_code, row.passed, *values, row.run or "", row.said])
+            columns = ["number", *self.varied, "exit_code", "passed", *metrics, "run", "said"]
+            writer = csv.DictWriter(file, columns)
+            writer.writeheader()
+            writer.writerows(self._table())
         return path
+
+    def _table(self) -> list[dict[str, Any]]:
+        return [
+            {"number": row.number, **row.changes, "exit_code": row.exit_code, "passed": row.passed}
+            | row.metrics
+            | {"run": row.run, "said": row.said}
+            for _, row in sorted(self.rows.items())
+        ]
 
     def write_parquet(self) -> Path | None:
         """Write the table as `results.parquet`, with types; None where pyarrow is not installed."""
@@ -349,15 +353,9 @@ class Sweep:
             return None
         import pandas
 
-        rows = [
-            {"number": row.number, **row.changes, "exit_code": row.exit_code, "passed": row.passed}
-            | row.metrics
-            | {"run": row.run, "said": row.said}
-            for _, row in sorted(self.rows.items())
-        ]
         path = self.out / _PARQUET
         with written_whole(path) as partial:
-            pandas.DataFrame(rows).to_parquet(partial, index=False)
+            pandas.DataFrame(self._table()).to_parquet(partial, index=False)
         return path
 
     def as_data(self) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hilbench.apps.cli.options import JsonOption, ModelOption
 from hilbench.errors import UnusableInputError
 
 
@@ -17,10 +18,7 @@ def sync(
             metavar="RECORDING", help="recording (.mf4, .csv, .csv.gz), or a bench config (.yaml) to run each method on"
         ),
     ],
-    model: Annotated[
-        Path | None,
-        typer.Option("--model", help="model file, or a bench config with the model in it (YAML); a bench has its own"),
-    ] = None,
+    model: ModelOption = None,
     method: Annotated[str, typer.Option("--method", help="methods, comma-separated, or all")] = "all",
     out: Annotated[
         Path | None,
@@ -37,7 +35,7 @@ def sync(
         ),
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="runs of a bench at a time")] = 1,
-    json: Annotated[bool, typer.Option("--json", help="print the figures as JSON, nothing else")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Compare synchronizers: time to 1 %, overshoot, noise, bias, coverage of intervals, cost, and the bound.
 

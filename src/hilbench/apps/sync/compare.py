@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from hilbench.apps.cli.columns import report, report_section, report_unknown
 from hilbench.apps.cli.model_option import machine_of, model_from, web_line_of
 from hilbench.apps.cli.options import print_json
+from hilbench.apps.cli.tables import table
 from hilbench.apps.sweep.sweep import Row, Sweep
 from hilbench.apps.sync.page import COLUMNS, ESTIMATES, rows, write_comparison
 from hilbench.diagnosis.synchronization import (
@@ -115,21 +115,12 @@ def _show(comparison: Comparison, page: Path | None, as_json: bool) -> None:
         print_json(as_data(comparison))
         return
     console = Console(highlight=False)
-    console.print(_table(comparison))
+    columns = [column.replace(", ", "\n") for column in COLUMNS]  # units below: the figures stay whole in 80 columns
+    title = f"torque noise {comparison.noise_Nm:.3g} N·m"
+    console.print(table(columns, rows(comparison), columns, title=title, padding=(0, 1, 0, 0)))
     if page is not None:
         console.print(f"page: {page}", soft_wrap=True)
         console.print(f"estimates: {page.with_name(ESTIMATES)}", soft_wrap=True)
-
-
-def _table(comparison: Comparison) -> Table:
-    title = f"torque noise {comparison.noise_Nm:.3g} N·m"
-    shown = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
-    for column in COLUMNS:  # units below: the figures stay whole in 80 columns
-        heading = column.lstrip(">").replace(", ", "\n")
-        shown.add_column(heading, justify="right" if column.startswith(">") else "left", no_wrap=True)
-    for row in rows(comparison):
-        shown.add_row(*row)
-    return shown
 
 
 def as_data(comparison: Comparison) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from hilbench.apps.cli.config_file import load_config
-from hilbench.apps.cli.options import BusOption, JsonOption, print_json
+from hilbench.apps.cli.options import BusOption, JsonOption, key_and_number, print_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,7 +62,8 @@ def what_if(
     from hilbench.results.what_if import Question
     from hilbench.results.what_if import what_if as answer_to
 
-    question = Question(dict(map(_asked, asked)), over, horizon, futures, at)
+    wanted = dict(key_and_number("--set", text, "PATH=NUMBER such as line_speed_m_s=5") for text in asked)
+    question = Question(wanted, over, horizon, futures, at)
     name, config, recording = _running(run, bus, at) if run.is_file() else _run(run, bus, at)
     answer = answer_to(config, recording, question, str(run))
     texts = lines(answer)
@@ -121,22 +122,10 @@ def lines(answer: Answer) -> list[str]:
     return texts
 
 
-def _asked(text: str) -> tuple[str, float]:
-    from hilbench.errors import UnusableInputError
-
-    path, equals, value = text.partition("=")
-    try:
-        if equals:
-            return path.strip(), float(value)
-    except ValueError:
-        pass
-    raise UnusableInputError("--set", f"'{text}', expected PATH=NUMBER such as line_speed_m_s=5")
-
-
 def _print(answer: Answer, texts: Sequence[str], when: str) -> None:
     from rich.console import Console
-    from rich.table import Table
 
+    from hilbench.apps.cli.tables import table
     from hilbench.apps.what_if.page import levels_of, rows_of, text_chart
 
     outlook, console = answer.outlook, Console(highlight=False)
@@ -144,16 +133,13 @@ def _print(answer: Answer, texts: Sequence[str], when: str) -> None:
     console.print(f"what if, from {when} on: {', '.join(texts)}", soft_wrap=True)
     futures = outlook.rows.shape[1]
     console.print(f"{seconds:.3g} s in {futures} futures; bands hold 90 % of what would be measured", soft_wrap=True)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    table.add_column("quantity", no_wrap=True)
-    for heading in ("largest", "of 90 %", "at the end", "limits", "probability"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    columns, rows = ("quantity", ">largest", ">of 90 %", ">at the end", ">limits", ">probability"), []
     for watched, largest, end, probability in rows_of(outlook):
         limits = " / ".join(f"{level:g}" for level in levels_of(watched))
         between = f"{largest[1]:.4g} … {largest[2]:.4g}"
         share = f"{100 * probability:.0f} %" if limits else ""
-        table.add_row(f"{watched.name}, {watched.unit}", f"{largest[0]:.4g}", between, f"{end[0]:.4g}", limits, share)
-    console.print(table)
+        rows.append((f"{watched.name}, {watched.unit}", f"{largest[0]:.4g}", between, f"{end[0]:.4g}", limits, share))
+    console.print(table(columns, rows, columns))
     for place, watched in enumerate(outlook.watched):
         if watched.unit in ("N", "N·m"):
             console.print(f"\n{watched.name}, {watched.unit}")

@@ -8,7 +8,7 @@ from hilbench.topology.signals import Shape
 
 def process_data(shape: Shape) -> ProcessData:
     """Process data of any servo axis."""
-    inertia, friction, deviation, torque, residual, friction_sd, viscous, viscous_sd = (
+    published = inertia, friction, deviation, torque, residual, friction_sd, viscous, viscous_sd = tuple(
         IoSignal(name, INPUTS, sub, text)
         for sub, (name, text) in enumerate(
             (
@@ -25,7 +25,7 @@ def process_data(shape: Shape) -> ProcessData:
         )
     )
     return ProcessData(
-        published=(inertia, friction, deviation, torque, residual, friction_sd, viscous, viscous_sd),
+        published=published,
         boundary_inputs=(),
         sent=(
             IoPdo(1, (inertia, friction)),

@@ -68,31 +68,23 @@ def _stations(shape: Shape) -> list[tuple[IoSignal, IoSignal]]:
     for at, name in enumerate(shape.stations):
         letter, what = ("x", "position") if name in shape.carriages else ("r", "radius")
         first, of = _FIRST_OF_STATIONS + 2 * at, f"{what} of station {at + 1}"
+        estimate = IoSignal(f"{letter}_{name}_sim_m", INPUTS, first, f"Simulated {of} [m]")
         found.append(
-            (
-                IoSignal(f"{letter}_{name}_sim_m", INPUTS, first, f"Simulated {of} [m]"),
-                IoSignal(f"{letter}_{name}_sd_m", INPUTS, first + 1, f"Standard deviation of the {of} [m]"),
-            )
+            (estimate, IoSignal(f"{letter}_{name}_sd_m", INPUTS, first + 1, f"Standard deviation of the {of} [m]"))
         )
     return found
-
-
-def _of_sensor(number: int) -> str:
-    return f"Sensor {number}: of a dancer, accumulator or reel [m], or load cell [N]"
 
 
 def process_data(shape: Shape) -> ProcessData:
     """Process data of a line of this shape."""
     stations = _stations(shape)
-    sensors = (
-        IoSignal(signal, OUTPUTS, sub, _of_sensor(sub - _FIRST_OF_SENSORS + 1))
-        for sub, (_, signal) in enumerate(shape.sensors, _FIRST_OF_SENSORS)
-    )
-    forces = (
-        IoSignal(
-            signal, OUTPUTS, _FIRST_OF_FORCES + at, f"Force {at + 1}: on the carriage of a dancer or accumulator [N]"
+    further = (
+        IoSignal(signal, OUTPUTS, first + at, f"{what} {at + 1}: {of}")
+        for first, what, of, signals in (
+            (_FIRST_OF_SENSORS, "Sensor", "of a dancer, accumulator or reel [m], or load cell [N]", shape.sensors),
+            (_FIRST_OF_FORCES, "Force", "on the carriage of a dancer or accumulator [N]", shape.forces),
         )
-        for at, (_, signal) in enumerate(shape.forces)
+        for at, (_, signal) in enumerate(signals)
     )
     spans = {number: _span(shape, number) for number in shape.simulated}
     estimated = [spans[number] for number in shape.estimated]
@@ -119,8 +111,7 @@ def process_data(shape: Shape) -> ProcessData:
         boundary_inputs=(
             IoSignal("strain_prev", OUTPUTS, 1, "Upstream strain [1]"),
             IoSignal("F_next_N", OUTPUTS, 2, "Downstream tension [N]"),
-            *sensors,
-            *forces,
+            *further,
         ),
         sent=tuple(IoPdo(number, signals, every) for number, (signals, every) in zip(numbers, contents, strict=False)),
         torques=tuple(

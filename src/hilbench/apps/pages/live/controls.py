@@ -111,17 +111,11 @@ def courses(outlook: Outlook) -> list[dict[str, Any]]:
         if watched.unit not in SHOWN_UNITS:
             continue
         low, median, high = outlook.band(place)
-        shown.append(
-            {
-                "name": watched.name,
-                "unit": watched.unit,
-                "levels": {"warning": watched.warning, "trip": watched.trip},
-                "t_s": _rounded(t_s[edges]),
-                "low": _rounded(np.minimum.reduceat(low, edges)),
-                "median": _rounded(median[edges]),
-                "high": _rounded(np.maximum.reduceat(high, edges)),
-            }
-        )
+        low, high = np.minimum.reduceat(low, edges), np.maximum.reduceat(high, edges)
+        course = {"t_s": t_s[edges], "low": low, "median": median[edges], "high": high}
+        levels = {"warning": watched.warning, "trip": watched.trip}
+        about = {"name": watched.name, "unit": watched.unit, "levels": levels}
+        shown.append({**about, **{name: _rounded(values) for name, values in course.items()}})
     return shown
 
 
@@ -200,8 +194,8 @@ class ControlAnswer(NamedTuple):
 class Controls:
     """Execute viewers' requests, report the result, and write who it was into the journal."""
 
-    def __init__(self, listener: Listener, changes: ChangeRequests, control_lock: ControlLock | None = None) -> None:
-        self.control_lock = control_lock or ControlLock()
+    def __init__(self, listener: Listener, changes: ChangeRequests) -> None:
+        self.control_lock = ControlLock()
         self._listener = listener
         self._changes = changes
         self._looking = asyncio.Lock()
@@ -211,14 +205,14 @@ class Controls:
         quantities = []
         for key, quantity in self._changes.changeable.items():
             low, high = self._changes.range_of(quantity)
-            known = {
-                "key": key,
-                "title": quantity.title,
+            known: dict[str, Any] = {"key": key, "title": quantity.title, "signal": quantity.signal}
+            known |= {
                 "unit": quantity.in_unit,
-                "signal": quantity.signal,
-                "scale": quantity.si_per_shown,
+                "low": low,
+                "high": high,
+                "foreseeable": key in self._changes.foreseeable,
             }
-            quantities.append({**known, "low": low, "high": high, "foreseeable": key in self._changes.foreseeable})
+            quantities.append({**known, "scale": quantity.si_per_shown})
         switches = [vars(switch) for switch in self._changes.switches.values()]
         return {"quantities": quantities, "switches": switches}
 
