@@ -13,13 +13,15 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import TABLE, address_of, arrays_in, call_at, entry_point, record_type, records, table_of
+from hilbench.compiled import COUNT, TABLE, address_of, arrays_in, call_at, entry_point, record_type, records, table_of
 
 Table = NDArray[np.int64]
 Function = Callable[[int, Table], int]
 
 #: Regular return code of a stage, unless another is given.
 CONTINUE = 0
+#: That of a stage which Python runs.
+_HANDED_OVER = 1
 #: A row of the program: address of the function, its argument, address and length of its table, its regular return
 #: code.
 _STAGE = record_type("function", "argument", "table", "rows", "continues", of=np.int64)
@@ -65,6 +67,16 @@ class CompiledStage:
 
 class StageAbortedError(Exception):
     """A stage could not finish; the interpreter resumes the cycle at this stage."""
+
+
+@entry_point(COUNT, TABLE)
+def _hand_over(_: int, _table: Table) -> int:
+    return _HANDED_OVER
+
+
+def interpreted(work: Callable[[], object]) -> CompiledStage:
+    """Stage that is all Python's. The next cycle may follow without it unless `work` returns False."""
+    return CompiledStage(_hand_over, 0, (), fallback=lambda _: work() is not False)
 
 
 def never(code: int) -> bool:
