@@ -20,8 +20,10 @@ Function = Callable[[int, Table], int]
 
 #: Regular return code of a stage, unless another is given.
 CONTINUE = 0
-#: A row of the program: address of the function, its argument, address and length of its table, its regular return
-#: code.
+#: That of a stage which Python runs.
+_HANDED_OVER = 1
+#: A row of the program: address of the function (0: Python's), its argument, address and length of its table, its
+#: regular return code.
 _STAGE = record_type("function", "argument", "table", "rows", "continues", of=np.int64)
 #: Its state: cycles to run, and the stage to begin with; cycles that were run whole; the stage that has returned
 #: something else, and what; -1: none.
@@ -67,6 +69,19 @@ class StageAbortedError(Exception):
     """A stage could not finish; the interpreter resumes the cycle at this stage."""
 
 
+def _hand_over(_: int, _table: Table) -> int:
+    return _HANDED_OVER
+
+
+def interpreted(work: Callable[[], object]) -> CompiledStage:
+    """Stage that is all Python's. The next cycle may follow without it unless `work` returns False."""
+    return CompiledStage(_hand_over, 0, (), fallback=lambda _: work() is not False)
+
+
+def _address(function: Function) -> int:
+    return 0 if function is _hand_over else address_of(function)
+
+
 def never(code: int) -> bool:
     """Fallback of a stage without a part in Python."""
     raise AssertionError(f"a compiled piece of a cycle has returned {code}")
@@ -78,7 +93,7 @@ class CycleProgram:
     def __init__(self, pieces: Sequence[CompiledStage]) -> None:
         self._pieces = tuple(pieces)
         rows = [
-            (address_of(each.function), each.argument, each.table.ctypes.data, len(each.table), each.continues)
+            (_address(each.function), each.argument, each.table.ctypes.data, len(each.table), each.continues)
             for each in self._pieces
         ]
         self._state = np.zeros(1, _STATE)
@@ -119,7 +134,9 @@ def _run(table: Table) -> bool:
     while state.cycles > 0:
         for k in range(first, len(stages)):
             stage = stages[k]
-            code = call_at(stage.function, stage.argument, stage.table, stage.rows)
+            code = _HANDED_OVER
+            if stage.function != 0:
+                code = call_at(stage.function, stage.argument, stage.table, stage.rows)
             if code != stage.continues:
                 state.stopped, state.code = k, code
                 return True

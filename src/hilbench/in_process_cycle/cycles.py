@@ -146,7 +146,6 @@ class _Run(BenchFastCycle):
         return min(clock.syncs_until(now_ns, until_ns) for clock, until_ns in self._until_ns)
 
     def _exchange(self, begun_ns: int) -> bool:
-        self._machine.before_sync()
         stage = self._frames_stage
         if stage.function(stage.argument, stage.table) != CONTINUE:
             return False

@@ -36,7 +36,6 @@ class TwinFastCycle:
         answers.fill(seen=self._seen, feedback=measured)
         arrays = answers.arrays
         self._machine.join(answers.drives, arrays.whole, arrays.real, answers.asked, answers.shown, measured)
-        self._machine.before_sync()
 
     @property
     def came(self) -> Sequence[bytes]:
@@ -62,7 +61,6 @@ class TwinFastCycle:
         self._machine.go_on()
         if kernel.publish(0, self._answers.table) != CONTINUE:
             self._machine.publish_by_objects()
-        self._machine.before_sync()
         self._awaits = False
 
     def end(self) -> None:

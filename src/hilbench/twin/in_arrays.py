@@ -11,7 +11,7 @@ from typing import Any
 
 from hilbench.canopen.object_store import Cell
 from hilbench.compiled import of_record
-from hilbench.cycle_program import CompiledStage
+from hilbench.cycle_program import CompiledStage, interpreted
 from hilbench.fast_path import layout as lay
 from hilbench.fast_path.devices import HostFrames
 from hilbench.fast_path.motors import Motors
@@ -40,6 +40,7 @@ class TwinInArrays:
         self._written: list[tuple[Cell, int]] = []
         self._of_io: set[int] = set()  # cells that hold their values themselves
         self._cycles = 0
+        self._by_objects = interpreted(self._go_on_by_objects)
         if self._in_vectors:
             self._find_slots()
         else:
@@ -84,6 +85,7 @@ class TwinInArrays:
             shows_ports=True,
         )
         if not self._in_vectors:
+            self._show_status()
             return
         place = self._slots.of_cells
         number, _, status = application.io.status_cells
@@ -111,13 +113,11 @@ class TwinInArrays:
 
     @property
     def piece(self) -> CompiledStage | None:
-        """Compiled stage of a cycle, as `go_on`, with nothing to do before SYNC; None if it is not all in vectors."""
-        return self._application.in_vectors if self._in_vectors else None
+        """Stage of a cycle, as `go_on`; None while a machine in vectors has an interpreted part in each."""
+        return self._application.in_vectors if self._in_vectors else self._by_objects
 
-    def before_sync(self) -> None:
+    def _show_status(self) -> None:
         """Write the content of the next SYNC's TPDOs into the arrays."""
-        if self._in_vectors:
-            return
         cells, values = self._application.io.status_cells, self._application.begin_fast_path()
         values_of: dict[int, Any] = {id(cell): value for cell, value in zip(cells, values, strict=True)}
         for cell, slot in self._read_real:
@@ -135,6 +135,12 @@ class TwinInArrays:
         self._give_boundary_inputs()
         values = self._measured.tolist()
         self._application.go_on(list(zip(values[::4], values[2::4], strict=True)), self._motors.step)
+        self._show_status()
+
+    def _go_on_by_objects(self) -> bool:
+        """Run the cycle; False if the next one needs the interpreter."""
+        self.go_on()
+        return not self._application.device.outbox and self.stays()
 
     def _give_boundary_inputs(self) -> None:
         for cell, slot in self._written:

@@ -39,7 +39,7 @@ from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.compiled import Vector, load
 from hilbench.control.web_line.swing_damping import SwingDamping, SwingPlant
 from hilbench.control.web_line.tension import tension_controller
-from hilbench.cycle_program import CompiledStage, Function, never
+from hilbench.cycle_program import CompiledStage, Function, interpreted, never
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.problems import Problem
 from hilbench.exchange.exchange import Inputs
@@ -438,6 +438,10 @@ class WebLoadTask(LoadTask):
             self.follow(sample, self._positions(sample), self._speeds(sample), late=late)
         if followed is not HasFollowed.ALL:
             self._show(sample)
+        self._push(sample)
+
+    def _push(self, sample: CycleSample) -> None:
+        """Set the forces on the carriages as commanded."""
         for signal, name in self._forces:
             self.model.set_value(name, getattr(sample, signal))
 
@@ -447,17 +451,18 @@ class WebLoadTask(LoadTask):
             setattr(sample, signal, true[place])
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
-        """Compiled stage that follows the measured motion; None where forces are set in each cycle."""
+        """Compiled stage that follows the measured motion, and Python's that sets forces on carriages."""
 
         def fallback(_: HasFollowed) -> bool:
             self._show(sample)
             return True
 
         piece = self.model.piece(sample.reals, self._at, fallback)
-        if piece is None or self._forces:  # these are set in each cycle
+        if piece is None:
             return None
+        pushes = [interpreted(partial(self._push, sample))] if self._forces else []
         return CompiledStages(
-            after=[piece], cycles=lambda: MANY if self.model.continues else 0, shown=dict(self._commands)
+            after=[piece, *pushes], cycles=lambda: MANY if self.model.continues else 0, shown=dict(self._commands)
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import inf
 from typing import Protocol
 
@@ -20,7 +21,7 @@ from hilbench.compiled import Records, Vector, load, of_record, record_at
 from hilbench.control.web_line.strain_trajectory import TRAJECTORY
 from hilbench.control.web_line.swing_damping import SwingDamping
 from hilbench.control.web_line.tension import CONTROLLER
-from hilbench.cycle_program import CompiledStage
+from hilbench.cycle_program import CompiledStage, interpreted
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.quantities import tension_set_point
 from hilbench.topology.sample import CycleSample
@@ -248,8 +249,7 @@ class TensionTask(CyclicTask):
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis from the last sample."""
         self._at["fresh"] = self._twin.fresh(sample)
-        if self._trajectories is not None:
-            self._at["before_m"], self._at["behind_m"] = self._trajectories(sample)
+        self._follow_reels(sample)
         self._piece(sample)()
         outputs[self._names.drive] = getattr(sample, self._names.command)
 
@@ -257,19 +257,22 @@ class TensionTask(CyclicTask):
         """Record the set-point."""
         setattr(sample, self._names.set_point, self.goal_N)
 
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
-        """Compiled stage of the loop; the set-point stays as it is."""
+    def _follow_reels(self, sample: CycleSample) -> None:
+        """Set the web travel at the ends of a section with a reel of measured radius there."""
         if self._trajectories is not None:
-            return None
+            self._at["before_m"], self._at["behind_m"] = self._trajectories(sample)
+
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+        """Compiled stage of the loop, and Python's at a reel of measured radius; the set-point stays as it is."""
 
         def cycles() -> int:
             fresh = self._twin.fresh(sample)
             shown = getattr(sample, self._names.set_point) == self.goal_N
             return MANY if fresh == bool(self._at["fresh"]) and shown else 0
 
-        return CompiledStages(
-            before=[self._piece(sample)], cycles=cycles, shown={self._names.drive: self._names.command}
-        )
+        at_reels = [] if self._trajectories is None else [interpreted(partial(self._follow_reels, sample))]
+        before, shown = [*at_reels, self._piece(sample)], {self._names.drive: self._names.command}
+        return CompiledStages(before=before, cycles=cycles, shown=shown)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The web is at rest, strained as upstream."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
 from hilbench.bench.tasks.tension_cycle import SPEEDS
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_winding_control import DancerPosition, eased
+from hilbench.cycle_program import interpreted
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.web_line.stations import LineCarriage
@@ -98,6 +101,15 @@ class PositionTask(CyclicTask):
         self._moved = True
         setattr(sample, self._shown, self._values[self._set_point])
 
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+        """Python's stage that makes the velocity command; the sample shows the set-point, and keeps it."""
+
+        def cycles() -> int:
+            return MANY if self._moved and getattr(sample, self._shown) == self._values[self._set_point] else 0
+
+        command = interpreted(partial(self.before, sample, Outputs()))
+        return CompiledStages(before=[command], cycles=cycles, shown={self._drive: self._command})
+
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The carriage is as at the start when the drives are enabled again."""
         self._moved = False
@@ -126,6 +138,13 @@ class CarriageStops(CyclicTask):
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Raises BenchFaultError when it has come to a stop."""
+        self._check(sample)
+
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+        """Python's stage that checks the position."""
+        return CompiledStages(after=[interpreted(partial(self._check, sample))])
+
+    def _check(self, sample: CycleSample) -> None:
         position_m = getattr(sample, self._measured)
         at = [(stop_m, why) for stop_m, why in self._stops if abs(position_m - stop_m) < _AT_STOP_M]
         if at and self._was_away:

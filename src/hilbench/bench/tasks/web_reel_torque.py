@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.set_point import OneSetPoint
-from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_roller_motion import RollerMotion
 from hilbench.bench.tasks.web_winding_control import ReelMechanics, ReelTension
+from hilbench.cycle_program import interpreted
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -80,6 +83,15 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
         self._reported = True
         setattr(sample, self._shown, self._set_point)
 
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+        """Python's stage that commands the torque; the sample shows the set-point, and keeps it."""
+
+        def cycles() -> int:
+            return MANY if self._reported and getattr(sample, self._shown) == self._set_point else 0
+
+        command = interpreted(partial(self.before, sample, Outputs()))
+        return CompiledStages(before=[command], cycles=cycles, shown={self._drive: self._torque})
+
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """Command zero torque, and reset: nothing is known of the line."""
         self._reported = False
@@ -100,5 +112,12 @@ class LoadCells(CyclicTask):
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Write the readings into the sample."""
+        self._write(sample)
+
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+        """Python's stage that writes the readings."""
+        return CompiledStages(after=[interpreted(partial(self._write, sample))])
+
+    def _write(self, sample: CycleSample) -> None:
         for cell, before, behind in self._cells:
             setattr(sample, cell, 0.5 * (getattr(sample, before) + getattr(sample, behind)))

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
-from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.task import CompiledStages, CyclicTask, Outputs
 from hilbench.bench.tasks.tension_task import Leader
+from hilbench.cycle_program import interpreted
 from hilbench.topology.sample import CycleSample
 
 
@@ -27,7 +29,7 @@ class MeasuredReel:
 
 
 class ReelSpeeds(CyclicTask):
-    """Scales the reels' speeds so that the web on them has the speed that was put into the outputs.
+    """Scales the reels' speeds so that the web on them has the speed that was commanded.
 
     `line_speed`: signal of the speed of the leading axis at the web, "" where only its command is needed.
     """
@@ -42,8 +44,13 @@ class ReelSpeeds(CyclicTask):
         if self._line_speed:
             setattr(sample, self._line_speed, self._leader.speed_m_s)
         for reel, command in self._reels:
-            outputs[reel.drive] /= reel.ratio(sample)
-            setattr(sample, command, outputs[reel.drive])
+            outputs[reel.drive] = speed_m_s = getattr(sample, command) / reel.ratio(sample)
+            setattr(sample, command, speed_m_s)
+
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+        """Python's stage that commands the reels."""
+        shown = {reel.drive: command for reel, command in self._reels}
+        return CompiledStages(before=[interpreted(partial(self.before, sample, Outputs()))], shown=shown)
 
 
 class ReelTravel:
