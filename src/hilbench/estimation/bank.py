@@ -59,17 +59,24 @@ class BankArrays(NamedTuple):
     shares: Reals  #: probabilities (H,) of the hypotheses, 0 of dropped ones
     out: Reals2  #: means and standard deviations of the mixture; deviation of the watched parameter by noise alone
 
-    def begin(self) -> None:
-        """Restart from the filter in the first column alone."""
-        self.hypotheses[:] = 0
-        self.hypotheses["alive"][0] = 1.0
-        self.births["quiet_s"] = 0.0
-        self.out[0], self.out[1] = self.z[:, 0], np.sqrt(np.diag(self.p[:, :, 0]))
 
-    def set_priors(self, jumps_per_s: float, drift_onsets_per_s: float, cycle_s: float) -> None:
-        """Set the prior of one birth from the rates of jumps and of drift onsets."""
-        self.births["log_jump"] = log(jumps_per_s * _EVERY[_JUMP] * cycle_s)
-        self.births["log_drift"] = log(drift_onsets_per_s * _EVERY[_DRIFT] * cycle_s)
+@compiled
+def begin(b: BankArrays) -> None:
+    """Restart from the filter in the first column alone."""
+    for i in range(len(b.hypotheses)):
+        b.hypotheses[i].weight = b.hypotheses[i].age = b.hypotheses[i].alive = 0.0
+        b.hypotheses[i].kind = 0
+    b.hypotheses[0].alive = 1.0
+    b.births.quiet_s = 0.0
+    for j in range(b.z.shape[0]):
+        b.out[0, j], b.out[1, j] = b.z[j, 0], sqrt(b.p[j, j, 0])
+
+
+@compiled
+def set_priors(b: BankArrays, jumps_per_s: float, drift_onsets_per_s: float, cycle_s: float) -> None:
+    """Set the prior of one birth from the rates of jumps and of drift onsets."""
+    b.births.log_jump = log(jumps_per_s * _EVERY[_JUMP] * cycle_s)
+    b.births.log_drift = log(drift_onsets_per_s * _EVERY[_DRIFT] * cycle_s)
 
 
 def new_bank(

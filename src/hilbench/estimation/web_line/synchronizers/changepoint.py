@@ -17,8 +17,8 @@ class ChangepointSynchronizer(Synchronizer):
     """Estimator of E by a bank of Kalman filters."""
 
     def __init__(self, config: ChangepointConfig, plant: Plant) -> None:
-        self._config = config
-        self._filters = Filters(config, plant, (config.jump_pct, config.drift_pct_per_s, bank.CAPACITY))
+        births = config.jumps_per_s, config.drift_onsets_per_s
+        self._filters = Filters(config, plant, (config.jump_pct, config.drift_pct_per_s, bank.CAPACITY), births)
         self._filters.inputs["parameter_variance_per_s"] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
         self.arrays: FilterArrays = self._filters.arrays  #: for compiled callers
         self.arrays.stated["cautious"] = 0.01 * config.cautious_pct
@@ -32,9 +32,6 @@ class ChangepointSynchronizer(Synchronizer):
 
     def update(self, sample: SyncSample) -> Estimate:
         """Step every hypothesis by one cycle and add the births of the next."""
-        config = self._config
-        if not self._filters.started:
-            self.arrays.bank.set_priors(config.jumps_per_s, config.drift_onsets_per_s, sample.cycle_s)
         if self._filters.take(filters.FOLLOW, sample):
             self._filters.act(filters.STATE, self._of_what_is_held() if self._has_nuisances else 0.0)
         return self.estimate

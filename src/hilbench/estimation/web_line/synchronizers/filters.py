@@ -182,16 +182,30 @@ def separable(f: FilterArrays) -> bool:
     return True
 
 
-#: Actions on the filters: none; fill the inputs; step the one filter alone, or all hypotheses; update the stated E;
-#: shift E.
-NOTHING, FILL, STEP, FOLLOW, STATE, REBASE = range(6)
+#: Actions on the filters: none; start the first; fill the inputs; step the one filter alone, or all hypotheses; update
+#: the stated E; shift E; hold.
+NOTHING, START, FILL, STEP, FOLLOW, STATE, REBASE, HOLD = range(8)
+
+
+@compiled
+def _hold(f: FilterArrays, added: float) -> None:
+    """Widen E in every filter (random walk); reset position and velocity; form no mean across the gap."""
+    b, f.cycle.has_before = f.bank, 0.0
+    for i in range(b.p.shape[2]):
+        b.p[kalman.E, kalman.E, i] += added
+    motion_filter.lose_motion(b, 1.0)
+    b.out[1, kalman.E] = sqrt(b.out[1, kalman.E] * b.out[1, kalman.E] + added)
 
 
 @entry_point(COUNT, reals(6), TABLE)
 def _act(what: int, values: tuple[float, ...], table: Places) -> tuple[bool, float, float, bool]:
     """True if a step can be, or was, taken; stated E and its deviation; true if it is separable."""
     f, done = arrays_in(table, FilterArrays), True
-    if what == FILL:
+    if what == START:
+        motion_filter.new_filter(f.bank, 0, values[0], f.inputs.priors, values[1])
+        bank.begin(f.bank)
+        bank.set_priors(f.bank, values[2], values[3], values[4])
+    elif what == FILL:
         done = fill(f, values[0], values[1], values[2], values[3], values[4], values[5])
     elif what == STEP:
         kalman.step(f.bank, f.inputs)
@@ -201,6 +215,8 @@ def _act(what: int, values: tuple[float, ...], table: Places) -> tuple[bool, flo
         state(f, values[0])
     elif what == REBASE:
         rebase(f, values[0])
+    elif what == HOLD:
+        _hold(f, values[0])
     modulus_Pa, deviation_Pa = stated(f)
     return done, modulus_Pa, deviation_Pa, separable(f)
 
@@ -208,8 +224,16 @@ def _act(what: int, values: tuple[float, ...], table: Places) -> tuple[bool, flo
 class Filters:
     """Bank of Kalman filters of one span."""
 
-    def __init__(self, config: EkfConfig | ChangepointConfig, plant: Plant, of_bank: tuple[float, float, int]) -> None:
-        """`of_bank`: jumps and drifts of `bank.new_bank`, and its capacity."""
+    def __init__(
+        self,
+        config: EkfConfig | ChangepointConfig,
+        plant: Plant,
+        of_bank: tuple[float, float, int],
+        births_per_s: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """`of_bank`: jumps and drifts of `bank.new_bank`, and its capacity; `births_per_s`: rates of jumps and of drift
+        onsets."""
+        self._births_per_s = births_per_s
         self._also, self.priors = config.also, prior_deviations(config.also)
         self._reference_Pa = plant.youngs_modulus_Pa
         self._hold_pct_per_s = config.hold_growth_pct_per_s
@@ -250,19 +274,15 @@ class Filters:
         """FILL the inputs by a sample, or FOLLOW it; the first one starts the filter in the first column."""
         balance = sample.balance
         if not self.started:
-            motion_filter.new_filter(self.arrays.bank, 0, self._initial_deviation, self.priors, balance.x2_m)
-            self.arrays.bank.begin()
+            self.act(START, self._initial_deviation, balance.x2_m, *self._births_per_s, sample.cycle_s)
             self.started = True
         now = (balance.x2_m, balance.force_N, balance.web_per_Pa, balance.velocity_m_s)
         return self.act(what, sample.cycle_s, sample.torque_real_Nm, *now)
 
     def hold(self, duration_s: float) -> None:
-        """Widen E in every filter (random walk); reset position and velocity; form no mean across the gap."""
-        self.arrays.cycle["has_before"] = 0.0
-        b, walk = self.arrays.bank, 0.01 * self._hold_pct_per_s
-        b.p[kalman.E, kalman.E] += walk**2 * duration_s
-        motion_filter.lose_motion(b, 1.0)
-        b.out[1, kalman.E] = sqrt(b.out[1, kalman.E] ** 2 + walk**2 * duration_s)
+        """Hold E for a time without usable sample; its deviation grows."""
+        walk = 0.01 * self._hold_pct_per_s
+        self.act(HOLD, walk**2 * duration_s)
 
     def estimate(self, means: Array, deviations: Array) -> Estimate:
         """Estimate by the states' means and deviations (SIZE,)."""
