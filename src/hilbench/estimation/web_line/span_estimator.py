@@ -5,6 +5,7 @@ Used by the twin on the bus and for recordings.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
 from math import hypot, inf, nan
@@ -29,16 +30,16 @@ from hilbench.estimation.web_line.config import (
 )
 from hilbench.estimation.web_line.initial_strains import SLOW_M_S, InitialStrains, initial_strains
 from hilbench.estimation.web_line.joint_initialization import InitialWeb, JointInitialization
-from hilbench.estimation.web_line.measured_span import MeasuredSpan
 from hilbench.estimation.web_line.probing_step import new_probing_step
-from hilbench.estimation.web_line.span_model import SpanModel
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, Synchronizer, SyncSample
 from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSynchronizer
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.unmodelled_effects import UnmodelledEffects
 from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
+from hilbench.plant.web_line.splices import Piece
 
 #: Uncertainty (relative) of the upstream strain as a guess of the strain of a web that is first seen running, and at
 #: rest, where it may be strained by anything.
@@ -65,20 +66,28 @@ class Known(NamedTuple):
 
 
 class SpanEstimator:
-    """Estimates E of `line` from the measured momentum balance; transfers measured states to it.
+    """Estimates E of a span (from 1) of `line` from the measured momentum balance; transfers measured states to it.
 
-    Positions are at the web, torques at the motor.
+    `model`: of the roller before the span and all after it as one, as a line of two rollers; `along`: spans whose E
+    follows that of this one, in the ratio of the line's model. Positions are at the web, torques at the motor.
     """
 
     def __init__(
         self,
         model: ModelParameters,
         config: EstimationConfig,
-        line: SpanModel,
+        line: Line,
         cycle_s: float,
+        span: int = 1,
+        along: Sequence[int] = (),
     ) -> None:
         self.config = config
-        self._line = line
+        self._line, self.span = line, span
+        spans, modulus_Pa = [span, *along], line.parameters.youngs_modulus_Pa
+        #: As of `SpanEstimatorArrays`.
+        self._moduli = np.array(
+            [line.moduli[[k - 1 for k in spans]], [modulus_Pa(k) / modulus_Pa(span) for k in spans]]
+        )
         self._cycle_s = cycle_s
         self._balance = balance = MeasuredBalance(model)
         self._initial_Pa = config.youngs_modulus_Pa or model.youngs_modulus_Pa(1)
@@ -99,7 +108,6 @@ class SpanEstimator:
         self._model = model
         self._of_span = self._new_state()
         self._t = self._of_span[0]
-        self.span = MeasuredSpan(balance, self._t)  #: with the web in it
         self._errors: UnmodelledEffects | None = None
         self._synchronizer: Synchronizer
         self._nuisances: tuple[Nuisance, ...] | None = ()  # None: those that the bank has found
@@ -116,7 +124,7 @@ class SpanEstimator:
             balance.force_per_torque_per_m,
             balance.section_m2,
         )
-        t["span_m"], t["span"] = balance.span_length_m, self._line.first_axis
+        t["span_m"], t["span"] = balance.span_length_m, self.span - 1
         t["compensates"] = config.torque_shift != "ignore"
         t["finds_delay"] = config.torque_delay == "estimate"
         t["delayed"] = config.torque_delay == "estimate" or self._model_delay_s != 0.0
@@ -147,7 +155,7 @@ class SpanEstimator:
             self._shift,
             self._delay_line,
             self._delay_finder,
-            self._line.moduli,
+            self._moduli,
             self._balance.vectors,
             errors.state,
             bank.arrays,
@@ -179,7 +187,7 @@ class SpanEstimator:
     def reset(self) -> None:
         """Reset the estimate, with E as assumed at the start."""
         t = self._t
-        self._line.set_parameter("youngs_modulus_Pa", self._initial_Pa)
+        self._line.vectors.p[self._moduli[0].astype(int)] = self._moduli[1] * self._initial_Pa
         if self.config.unmodelled_torque_Nm is None:
             self._errors = self._new_errors()
         self._look_anew()
@@ -221,9 +229,9 @@ class SpanEstimator:
         if self._search is not None:  # The search's samples were of another cycle time.
             self._find_web()
 
-    def release(self, strain_uncertainty: float = 0.0, webs: InitialStrains | None = None, place: int = 0) -> None:
+    def release(self, strain_uncertainty: float = 0.0, webs: InitialStrains | None = None) -> None:
         """Reset the web: strained as upstream but for an unknown share (relative). `webs`: initial strains of the line,
-        where it has several spans; `place`: index of this span in them, from 0."""
+        where it has several spans."""
         t = self._t
         self._balance.reset()
         self._forget(cycle.NEW_WEB)
@@ -233,7 +241,8 @@ class SpanEstimator:
         if self._errors is not None:
             self._errors.release()
         t["strain_uncertainty"] = strain_uncertainty
-        self._webs, self._place, self._unknown_share = webs or initial_strains(self._model), place, strain_uncertainty
+        self._webs, self._place = webs or initial_strains(self._model), self.span - 1 if webs else 0
+        self._unknown_share = strain_uncertainty
         self._search: JointInitialization | None = None
         if strain_uncertainty > 0.0 and not isinstance(self._method, PidConfig | InputConfig):
             self._find_web()
@@ -258,7 +267,7 @@ class SpanEstimator:
             config = config.model_copy(update={"initial_deviation_pct": known_pct})
         # A black box goes on with the model's own E.
         black_box = isinstance(config, InputConfig)
-        model_Pa = self._line.parameter("youngs_modulus_Pa")
+        model_Pa = self._line.vectors.p.item(int(self._moduli[0, 0]))
         self._begin(config, model_Pa if black_box else known.youngs_modulus_Pa)
 
     def _begin(self, config: SynchronizerConfig, youngs_modulus_Pa: float) -> None:
@@ -343,14 +352,41 @@ class SpanEstimator:
     def _balance_used(self) -> BalanceSample:
         return BalanceSample(*[float(self._t[f"used_{name}"]) for name in ("m", "N", "per_Pa", "m_s")])
 
-    @property
-    def other_web_suspected(self) -> bool:
-        """True if E may be changing because other web enters the span."""
-        return bool(self._t["other_web"] != 0.0)
-
-    @other_web_suspected.setter
-    def other_web_suspected(self, suspected: bool) -> None:
+    def suspect_other_web(self, *, suspected: bool) -> None:
+        """Set that E may be changing because other web enters the span."""
         self._t["other_web"] = suspected
+
+    @property
+    def strain(self) -> float:
+        """Strain of the web in the span, by the encoders."""
+        return self._balance.web.strain.item(0)
+
+    @property
+    def series_factor(self) -> float:
+        """Factor on E of the span by pieces of other web, as springs in series."""
+        return float(self._t["series_factor"])
+
+    @property
+    def leaving_strain(self) -> float:
+        """Strain of the web leaving the span: all pieces carry the same tension, each with its own strain."""
+        return self.strain * self.series_factor / float(self._t["end_factor"])
+
+    @property
+    def length_m(self) -> float:
+        """Length between the rollers."""
+        return self._balance.span_length_m
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass at the web of the rollers after the span."""
+        return self._balance.mass_kg
+
+    def put_pieces(self, pieces: Sequence[Piece]) -> None:
+        """Set the pieces of other web in the span, by the travel of the roller before it."""
+        t, web = self._t, self._balance.web
+        web.put_pieces(pieces)
+        t["spliced"] = bool(pieces)
+        t["series_factor"], t["end_factor"] = web.spliced_spans[0]
 
     @property
     def synchronized(self) -> bool:
@@ -448,7 +484,7 @@ class SpanEstimator:
     def _sample(self, strain_prev: float, force_N: float) -> SyncSample:
         """Sample of this cycle for a method, with this force in the balance."""
         t = self._t
-        sensitivity = float(t["section_m2"]) * float(self._line.strain[0]) / float(t["force_per_torque"])
+        sensitivity = float(t["section_m2"]) * float(self._line.strain[self.span - 1]) / float(t["force_per_torque"])
         return SyncSample(
             self._cycle_s,
             float(t["torque_Nm"]),

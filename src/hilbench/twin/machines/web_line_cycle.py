@@ -9,7 +9,6 @@ then those of each span with its rollers, one span after the other.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import isnan, nan
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -53,7 +52,6 @@ from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.twin.machines import web_splice_tracker
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
 from hilbench.twin.machines.web_other_spans import OtherSpans
-from hilbench.twin.machines.web_section import WebSection
 from hilbench.twin.machines.web_splice_tracker import TRACKER, SpliceTracker
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED, TRANSFER_REFUSED
 
@@ -295,26 +293,17 @@ def warm_up() -> None:
     load(_run)
 
 
-@dataclass(slots=True)
-class EstimatedSpan:
-    """Span with an estimator of E."""
-
-    span: int
-    section: WebSection
-    tracking: SpanEstimator
-
-
 class LineCycle:
     """Comparison of a `WebLineTwin` with the measurements of a cycle, and, in vectors, all of its cycle; see
     `machine.InVectors`.
 
-    `estimated` (K,): spans with an estimator; `others`: those without, if any; `passage`: None without splice tracking;
+    `estimated` (K,): estimators of spans; `others`: those without, if any; `passage`: None without splice tracking;
     `ripples`: torques are corrected for their ripple.
     """
 
     def __init__(
         self,
-        estimated: Sequence[EstimatedSpan],
+        estimated: Sequence[SpanEstimator],
         model: ModelParameters,
         plant: Line,
         cycle_s: float,
@@ -332,7 +321,7 @@ class LineCycle:
         travels, self._positions_m = pairing_of_axes.vectors(axes)
         flags = ripples, passage is not None, others is not None, True
         self._figures = np.array([(least_m, 0.0, cycle_s, 0.0, *flags, 0.0, 0.0)], _FIGURES)
-        known = [(each.span - 1, each.tracking.config.synchronized_pct) for each in estimated]
+        known = [(each.span - 1, each.config.synchronized_pct) for each in estimated]
         rows = [(place, nan, nan, nan, pct, 1.0, 0.0, 0.0, nan, nan) for place, pct in known]
         self._spans = np.array(rows, _SPAN)
         tracker, sums = (np.zeros(1, TRACKER), np.zeros(1, SUMS)) if passage is None else passage.arrays
@@ -388,7 +377,7 @@ class LineCycle:
         if code == MISSED:
             return None
         for each in self._estimated:
-            each.tracking.has_advanced()
+            each.has_advanced()
         positions_m: list[float] = self._positions_m.tolist()
         return positions_m
 
@@ -412,15 +401,15 @@ class LineCycle:
 
     def _take_method(self) -> None:
         """Update the table after a change of methods or their arrays."""
-        tables = [each.tracking.table for each in self._estimated]
+        tables = [each.table for each in self._estimated]
         if not self._of or any(now is not then for now, then in zip(tables, self._of, strict=True)):
             self._of = tables
             self._table = np.concatenate([table_of(self._own), *tables])
             self.piece = CompiledStage(
                 _run, cycle.COMPARE, self._own, continues=_DONE, fallback=self._fallback, table=self._table
             )
-        self._figures["input_strain"] = self._estimated[0].tracking.input_strain
-        self._spans["separable"] = [each.tracking.separable for each in self._estimated]
+        self._figures["input_strain"] = self._estimated[0].input_strain
+        self._spans["separable"] = [each.separable for each in self._estimated]
 
     def has_ended(self, code: int) -> bool:
         """True if the cycle was completed; see `machine.InVectors`."""
@@ -435,24 +424,24 @@ class LineCycle:
     def _go_on_by_objects(self, stage: int) -> int:
         """Run an interpreted stage, then the compiled ones after it."""
         for each in self._estimated:
-            each.tracking.has_advanced()
+            each.has_advanced()
         place, behind = int(self._figures["at_span"][0]), _SAME_SPAN
         each, x_m = self._estimated[place], self._positions_m.tolist()
         strain_before = float(self._spans["strain_before"][place])
         if stage == _UNPAIRED:
             for each in self._estimated:
-                each.tracking.miss()
+                each.miss()
             behind = _FINISH_WITHOUT
         elif stage == _OTHERS:
             self._follow_others(x_m)
         elif stage == _PLACE:
-            each.tracking.place(x_m[each.span - 1], x_m[each.span], strain_before)
+            each.place(x_m[each.span - 1], x_m[each.span], strain_before)
         elif stage == PASSAGE:
             assert self._splice_tracker is not None, "it said so"
             self._splice_tracker.update(x_m[self._estimated[0].span - 1 :])
             behind = _FINISH
         else:
-            each.tracking.go_on_from(stage, strain_before)
+            each.go_on_from(stage, strain_before)
             behind = _NEXT_SPAN
         self._take_method()
         return _run(behind, self._table)
@@ -478,6 +467,6 @@ class LineCycle:
     def give(self) -> int:
         """Write back to the objects; see `machine.InVectors`."""
         for each in self._estimated:
-            each.tracking.has_advanced()
+            each.has_advanced()
         self._own, self._of, self._figures["by_object"] = self._by_object, [], 1.0
         return int(self._figures["status"][0])
