@@ -37,7 +37,7 @@ LEAST_SHARE = 0.125
 #: is judged: a fifth of this, from a mass and a lag known to a tenth each, makes a whole web look broken.
 _MOTION = 4.0
 #: Change of the ratio against that of so many blocks before (a median of three) that starts an evaluation.
-_CHANGED, _BEFORE = 0.05, 12
+_CHANGED, BEFORE = 0.05, 12
 #: Blocks after which an immediate change is complete, and a single outlier block is in no ratio any more.
 _SETTLED = 2
 #: Transported length, in spans, from a change to its judgement.
@@ -76,7 +76,7 @@ ANOMALIES: Final = np.dtype(
         ("broken_now", "f8"),
         ("slipping", "f8"),
         ("before", RING),  # of `ratios`: those of the blocks before
-        ("ratios", "f8", (_BEFORE,)),
+        ("ratios", "f8", (BEFORE,)),
         ("noted", RING),  # of `swung`
         ("swung", "f8", (_NOTED,)),
     ]
@@ -152,7 +152,7 @@ def _look_for_slip(s: Record, ratio: float, sure: float, moved_m: float) -> None
     elif s.quiet_m > 0.0:
         s.quiet_m -= moved_m
         ring.clear(s.before)
-    elif s.before.count == _BEFORE and abs(ratio / _ratio_before(s) - 1.0) > max(_CHANGED, sure):
+    elif s.before.count == BEFORE and abs(ratio / _ratio_before(s) - 1.0) > max(_CHANGED, sure):
         before = _ratio_before(s)
         s.since_change_m = 0.0
         s.ratio_before = before
@@ -165,7 +165,7 @@ def _look_for_slip(s: Record, ratio: float, sure: float, moved_m: float) -> None
         s.settling = _SETTLED
         ring.clear(s.before)
     else:
-        s.ratios[ring.push(s.before, _BEFORE)] = ratio
+        s.ratios[ring.push(s.before, BEFORE)] = ratio
     if not is_judging(s) and s.since_noted_m > _NOTED_EVERY * s.span_m:
         s.since_noted_m = 0.0
         s.swung[ring.push(s.noted, _NOTED)] = ratio
@@ -175,9 +175,9 @@ def _look_for_slip(s: Record, ratio: float, sure: float, moved_m: float) -> None
 def _ratio_before(s: Record) -> float:
     """Median of three old ratios, of which an outlier block is in one at most."""
     first, ratios = s.before, s.ratios
-    a = ratios[ring.place(first, _BEFORE, 0)]
-    b = ratios[ring.place(first, _BEFORE, _SETTLED)]
-    c = ratios[ring.place(first, _BEFORE, 2 * _SETTLED)]
+    a = ratios[ring.place(first, BEFORE, 0)]
+    b = ratios[ring.place(first, BEFORE, _SETTLED)]
+    c = ratios[ring.place(first, BEFORE, 2 * _SETTLED)]
     return float(max(min(a, b), min(max(a, b), c)))
 
 
