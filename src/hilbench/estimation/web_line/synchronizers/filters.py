@@ -34,7 +34,14 @@ from hilbench.estimation.bank import Array, BankArrays, Places
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.web_line.config import ChangepointConfig, EkfConfig
 from hilbench.estimation.web_line.synchronizers import kalman
-from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, SyncSample, estimate_of, prior_deviations
+from hilbench.estimation.web_line.synchronizers.base import (
+    Estimate,
+    Plant,
+    Synchronizer,
+    SyncSample,
+    estimate_of,
+    prior_deviations,
+)
 
 #: Smoothing of the acceleration that the mass error is weighed by.
 _ACCELERATION_S: Final = 0.02
@@ -221,8 +228,8 @@ def _act(what: int, values: tuple[float, ...], table: Places) -> tuple[bool, flo
     return done, modulus_Pa, deviation_Pa, separable(f)
 
 
-class Filters:
-    """Bank of Kalman filters of one span."""
+class Filters(Synchronizer):
+    """Estimator of E by a bank of Kalman filters."""
 
     def __init__(
         self,
@@ -234,15 +241,15 @@ class Filters:
         """`of_bank`: jumps and drifts of `bank.new_bank`, and its capacity; `births_per_s`: rates of jumps and of drift
         onsets."""
         self._births_per_s = births_per_s
-        self._also, self.priors = config.also, prior_deviations(config.also)
+        self._also, self._priors = config.also, prior_deviations(config.also)
         self._reference_Pa = plant.youngs_modulus_Pa
         self._hold_pct_per_s = config.hold_growth_pct_per_s
         self._initial_deviation = 0.01 * config.initial_deviation_pct
-        places = np.array([*range(kalman.OFFSET), *(np.flatnonzero(self.priors) + kalman.OFFSET)], np.int64)
+        places = np.array([*range(kalman.OFFSET), *(np.flatnonzero(self._priors) + kalman.OFFSET)], np.int64)
         stiffness_per_m = plant.youngs_modulus_Pa * plant.section_m2 / plant.span_length_m
-        slowly = float(self.priors[:-1].any())
+        slowly = float(self._priors[:-1].any())
         self.arrays = FilterArrays(
-            kalman.new_inputs(self.priors, plant.mass_kg, plant.force_per_torque_per_m),
+            kalman.new_inputs(self._priors, plant.mass_kg, plant.force_per_torque_per_m),
             np.array(
                 [
                     (
@@ -259,7 +266,7 @@ class Filters:
             np.array([(1.0, plant.youngs_modulus_Pa, 0.0, slowly)], _STATED),
         )
         self._table = table_of(self.arrays)
-        self.inputs = self.arrays.inputs[0]
+        self._inputs = self.arrays.inputs[0]
         # Before the first sample E is the initial assumption.
         self.arrays.bank.out[:2, kalman.E] = 1.0, self._initial_deviation
         self.started = False
@@ -267,7 +274,7 @@ class Filters:
     def act(self, what: int, *values: float) -> bool:
         """Act on the filters (NOTHING and so on)."""
         padded = (*map(float, values), *(0.0,) * (6 - len(values)))
-        done, self.modulus_Pa, self.deviation_Pa, self.separable = _act(what, padded, self._table)
+        done, self._modulus_Pa, self._deviation_Pa, self._separable = _act(what, padded, self._table)
         return done
 
     def take(self, what: int, sample: SyncSample) -> bool:
@@ -279,12 +286,22 @@ class Filters:
         now = (balance.x2_m, balance.force_N, balance.web_per_Pa, balance.velocity_m_s)
         return self.act(what, sample.cycle_s, sample.torque_real_Nm, *now)
 
-    def hold(self, duration_s: float) -> None:
-        """Hold E for a time without usable sample; its deviation grows."""
+    def rebase(self, change_Pa: float) -> None:
+        """Shift E of every filter."""
+        self.act(REBASE, change_Pa)
+
+    def hold(self, duration_s: float) -> Estimate:
+        """Widen E in every filter (random walk); reset position and velocity."""
         walk = 0.01 * self._hold_pct_per_s
         self.act(HOLD, walk**2 * duration_s)
+        return self.estimate
 
-    def estimate(self, means: Array, deviations: Array) -> Estimate:
+    @property
+    def estimate(self) -> Estimate:
+        """Estimate of the last cycle."""
+        raise NotImplementedError
+
+    def _estimate_by(self, means: Array, deviations: Array) -> Estimate:
         """Estimate by the states' means and deviations (SIZE,)."""
         states = [kalman.E, *kalman.NUISANCES]
         return estimate_of(self._also, self._reference_Pa, means[states], deviations[states])
