@@ -1,7 +1,8 @@
 """Compiled cycle of `span_estimator`: compare, estimate by the bank of filters, transfer.
 
-It runs in stages: `run` returns at a stage that needs the interpreter, and is called again from the following one. All
-state is in `SpanEstimatorArrays`, owned by one span of one twin; it may be called from other compiled functions.
+It runs in stages: `run_arrays` returns at a stage that needs the interpreter, and is called again from the following
+one. All state is in `SpanEstimatorArrays`, owned by one span of one twin; it may be called from other compiled
+functions.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ LARGEST_STRAIN = 0.5
 #: simulation has diverged, s.
 DIVERGED_S = 0.25
 
-# Stages of a cycle; `run` returns the stage that needs the interpreter, or DONE.
+# Stages of a cycle; `run_arrays` returns the stage that needs the interpreter, or DONE.
 COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(8)
 #: Reasons to restart the detectors: a cycle is missing; the web is the same with a better estimate; it is another web.
 #: And E is stated, by a method in Python.
@@ -151,25 +152,10 @@ def _state_modulus(v: SpanEstimatorArrays, modulus_Pa: float, deviation_Pa: floa
 
 
 @compiled
-def compare(
-    v: SpanEstimatorArrays,
-    x1_m: float,
-    x2_m: float,
-    torque_Nm: float,
-    torque_sim_Nm: float,
-    strain_prev: float,
-    F_next_N: float,
-    centre_m: float,
-    strain_next: float,
-    creep_ratio_prev: float,
-) -> int:
-    """Take the measurement of the instant that the line has been simulated to; the next stage: HOLD, FOUND_WEB or
-    UPDATE.
-
-    `torque_Nm`, `torque_sim_Nm`: measured and simulated; `centre_m`: position of the centre of mass, where roller 2
-    represents several, else NaN; `strain_next`: strain of the web after the span, NaN at the end of the line;
-    `creep_ratio_prev`: creep ratio at roller 1 (`CREEP_RATIO` of the previous span).
-    """
+def _compare(v: SpanEstimatorArrays, measured: tuple[float, ...]) -> int:
+    """Take the measurement of the instant that the line has been simulated to (`run_arrays`); the next stage: HOLD,
+    FOUND_WEB or UPDATE."""
+    x1_m, x2_m, torque_Nm, torque_sim_Nm, strain_prev, F_next_N, centre_m, strain_next, creep_ratio_prev = measured
     t, now = v.t, v.balance.s
     torque_Nm -= t.shift_Nm
     balance.use_modulus(v.balance, t.modulus_Pa)
@@ -313,7 +299,7 @@ def _look_for_errors(v: SpanEstimatorArrays, F_next_N: float) -> None:
 
 
 @compiled
-def update(v: SpanEstimatorArrays) -> None:
+def _update(v: SpanEstimatorArrays) -> None:
     """Bank's part of the stage UPDATE."""
     t = v.t
     if t.rebased_Pa != 0.0:
@@ -327,7 +313,7 @@ def update(v: SpanEstimatorArrays) -> None:
 
 
 @compiled
-def look_for_shift(v: SpanEstimatorArrays) -> int:
+def _look_for_shift(v: SpanEstimatorArrays) -> int:
     """Next stage: SHIFT if a torque shift is certain, else TRANSFER."""
     t, block = v.t, v.blocks
     if t.compensates == 0.0:
@@ -350,7 +336,7 @@ def look_for_shift(v: SpanEstimatorArrays) -> int:
 
 
 @compiled
-def transfer(v: SpanEstimatorArrays) -> None:
+def _transfer(v: SpanEstimatorArrays) -> None:
     """Set E of the line and transfer plausible measured states to it; count cycles and travel of refused ones."""
     t, line = v.t, v.line
     v1_m_s, v2_m_s = balance.roller_speed_m_s(v.balance, 0), balance.roller_speed_m_s(v.balance, 1)
@@ -387,36 +373,6 @@ def transfer(v: SpanEstimatorArrays) -> None:
         line_vectors.show(line)
         if line_vectors.reports(line):
             t.moved = 1.0
-
-
-@compiled
-def run(
-    v: SpanEstimatorArrays,
-    stage: int,
-    x1_m: float,
-    x2_m: float,
-    torque_Nm: float,
-    torque_sim_Nm: float,
-    strain_prev: float,
-    F_next_N: float,
-    centre_m: float,
-    strain_next: float,
-    creep_ratio_prev: float,
-) -> int:
-    """Run a cycle from `stage` on; arguments as of `compare`, which alone reads them. Returns the stage that needs the
-    interpreter (HOLD, FOUND_WEB, UPDATE of a method other than the bank, SHIFT), or DONE."""
-    if stage == COMPARE:
-        around = strain_prev, F_next_N, centre_m, strain_next, creep_ratio_prev
-        stage = compare(v, x1_m, x2_m, torque_Nm, torque_sim_Nm, *around)
-        if stage == UPDATE and v.t.bank != 0.0:
-            update(v)
-            stage = LOOK_FOR_SHIFT
-    if stage == LOOK_FOR_SHIFT:
-        stage = look_for_shift(v)
-    if stage == TRANSFER:
-        transfer(v)
-        stage = DONE
-    return stage
 
 
 @compiled
@@ -467,13 +423,29 @@ ROWS: Final = rows_of(SpanEstimatorArrays)
 
 @entry_point(COUNT, reals(9), TABLE)
 def run_arrays(stage: int, values: tuple[float, ...], table: Places) -> int:
-    """`run` on the `SpanEstimatorArrays` in a table; or, as stages of their own, its detectors are restarted, or E is
-    stated with its deviation."""
+    """Run a cycle from `stage` on, on the `SpanEstimatorArrays` in a table. Returns the stage that needs the
+    interpreter (HOLD, FOUND_WEB, UPDATE of a method other than the bank, SHIFT), or DONE. Or, as stages of their own,
+    its detectors are restarted, or E is stated with its deviation.
+
+    `values` to COMPARE: positions of the rollers at the web; torque, measured and simulated; strain of the web that
+    enters, tension after the line; position of the centre of mass, where roller 2 represents several, else NaN; strain
+    of the web after the span, NaN at the end of the line; creep ratio at roller 1 (that of the previous span).
+    """
     v = arrays_in(table, SpanEstimatorArrays)
-    if stage > DONE:
-        if stage == STATE:
-            _state_modulus(v, values[0], values[1])
-        else:
-            _forget(v, stage)
+    if stage == STATE:
+        _state_modulus(v, values[0], values[1])
         return DONE
-    return run(v, stage, *values)
+    if stage > DONE:
+        _forget(v, stage)
+        return DONE
+    if stage == COMPARE:
+        stage = _compare(v, values)
+        if stage == UPDATE and v.t.bank != 0.0:
+            _update(v)
+            stage = LOOK_FOR_SHIFT
+    if stage == LOOK_FOR_SHIFT:
+        stage = _look_for_shift(v)
+    if stage == TRANSFER:
+        _transfer(v)
+        stage = DONE
+    return stage

@@ -123,8 +123,8 @@ FILTER = np.dtype(
         ("stated_jumped", "f8"),
         ("torque_noise", "f8", (noise_level.SIZE,)),
         ("position_noise", "f8", (noise_level.SIZE,)),
-        ("orders", "f8", (periodic_disturbance.ORDERS, periodic_disturbance.COLUMNS)),
-        ("ripples", "f8", (periodic_disturbance.KEPT,)),
+        ("orders", "f8", (periodic_disturbance.ORDERS, len(periodic_disturbance.ORDER.names or ()))),
+        ("ripples", periodic_disturbance.KEPT),
         ("evidence", EVIDENCE),
     ]
 )
@@ -194,7 +194,7 @@ def interrupt(f: Record) -> None:
     """Discard the current block: a cycle is missing or unusable."""
     f.count = 0.0
     f.soon_before = f.before = 0.0
-    periodic_disturbance.interrupt(f.ripples)
+    f.ripples.count = 0.0
 
 
 @inlined

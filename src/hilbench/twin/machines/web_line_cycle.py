@@ -1,9 +1,9 @@
 """Compiled cycle of the twin of a web line: the comparison with the measurements; in vectors also `listen`, the step of
 its line and `published`, with the `TwinApplication` status for the next SYNC.
 
-It runs in stages as `span_estimator_cycle.run` does: it returns the stage of a rare event, the interpreter does its
-part, and calls it again from the following stage. All state is in vectors, addressed by a table: those of the line,
-then those of each span with its rollers, one span after the other.
+It runs in stages as `span_estimator_cycle` does: it returns the stage of a rare event, the interpreter does its part,
+and calls it again from the following stage. All state is in vectors, addressed by a table: those of the line, then
+those of each span with its rollers, one span after the other.
 """
 
 from __future__ import annotations
