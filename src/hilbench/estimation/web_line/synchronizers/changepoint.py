@@ -19,7 +19,7 @@ class ChangepointSynchronizer(Filters):
     def __init__(self, config: ChangepointConfig, plant: Plant) -> None:
         births = config.jumps_per_s, config.drift_onsets_per_s
         super().__init__(config, plant, (config.jump_pct, config.drift_pct_per_s, bank.CAPACITY), births)
-        self._inputs["parameter_variance_per_s"] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
+        self.inputs["parameter_variance_per_s"] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
         self.arrays.stated["cautious"] = 0.01 * config.cautious_pct
         self._has_nuisances = bool(self.arrays.stated["has_nuisances"])
 

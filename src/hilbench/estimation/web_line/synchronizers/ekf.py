@@ -40,7 +40,7 @@ class EkfSynchronizer(Filters):
         if self.take(filters.FILL, sample):
             opened = min(max(self._mean**2 * 2.0 * _MEMORY / _FROM - 1.0, 0.0), 1.0)
             walk = 0.01 * (c.drift_pct_per_sqrt_s + opened * c.jump_pct_per_sqrt_s)
-            self._inputs["parameter_variance_per_s"] = walk**2
+            self.inputs["parameter_variance_per_s"] = walk**2
             self.act(filters.STEP)
             self._keep_beside(opened)
             normalized = self._work.item(kalman.SIZE + 1) / sqrt(self._work.item(kalman.SIZE + 2))

@@ -266,7 +266,7 @@ class Filters(Synchronizer):
             np.array([(1.0, plant.youngs_modulus_Pa, 0.0, slowly)], _STATED),
         )
         self._table = table_of(self.arrays)
-        self._inputs = self.arrays.inputs[0]
+        self.inputs = self.arrays.inputs[0]
         # Before the first sample E is the initial assumption.
         self.arrays.bank.out[:2, kalman.E] = 1.0, self._initial_deviation
         self.started = False
