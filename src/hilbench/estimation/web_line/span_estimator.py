@@ -90,6 +90,8 @@ class SpanEstimator:
         )
         self._cycle_s = cycle_s
         self._balance = balance = MeasuredBalance(model)
+        #: Length between the rollers, and mass at the web of those after the span.
+        self.length_m, self.mass_kg = balance.span_length_m, balance.mass_kg
         self._initial_Pa = config.youngs_modulus_Pa or model.youngs_modulus_Pa(1)
         self._torque_limit_Nm = per_item(model.drives.torque_limit_Nm, 2) if model.drives else inf
         self._strain_prev = model.upstream_strain
@@ -104,10 +106,11 @@ class SpanEstimator:
         self._blocks = block_means.new_state(balance.mass_kg, cycle_s)
         self._shift = torque_shift.new_state()
         self._delay_line = delay.new_line(cycle_s)
-        self._probing_step = new_probing_step(model, config, balance.mass_kg, cycle_s)
+        #: None: all state is in the arrays.
+        self.probing_step = new_probing_step(model, config, balance.mass_kg, cycle_s)
         self._model = model
         self._of_span = self._new_state()
-        self._t = self._of_span[0]
+        self.state = self._t = self._of_span[0]  #: a `span_estimator_cycle.SPAN`
         self._errors: UnmodelledEffects | None = None
         self._synchronizer: Synchronizer
         self._nuisances: tuple[Nuisance, ...] | None = ()  # None: those that the bank has found
@@ -162,17 +165,8 @@ class SpanEstimator:
             self._line.vectors,
             self._blocks,
         )
-        self._table = table_of(self._arrays)
-
-    @property
-    def table(self) -> NDArray[np.int64]:
-        """Addresses of the state arrays for `span_estimator_cycle.run_arrays`; replaced whenever the arrays are."""
-        return self._table
-
-    @property
-    def in_arrays(self) -> bool:
-        """True if no probing step is evaluated: all state is in the arrays."""
-        return self._probing_step is None
+        #: Addresses of the state arrays for `span_estimator_cycle.run_arrays`; replaced whenever the arrays are.
+        self.table: NDArray[np.int64] = table_of(self._arrays)
 
     @property
     def input_strain(self) -> float:
@@ -219,7 +213,7 @@ class SpanEstimator:
         self._cycle_s = self._t["cycle_s"] = cycle_s
         self._blocks = block_means.new_state(self._balance.mass_kg, cycle_s)
         self._delay_line = delay.new_line(cycle_s)
-        self._probing_step = new_probing_step(self._model, self.config, self._balance.mass_kg, cycle_s)
+        self.probing_step = new_probing_step(self._model, self.config, self._balance.mass_kg, cycle_s)
         self._look_anew()
         self._go_back(known)
         if self._errors is not None:
@@ -236,8 +230,8 @@ class SpanEstimator:
         self._balance.reset()
         self._forget(cycle.NEW_WEB)
         t["missed_s"] = t["measured"] = t["runs"] = t["refused"] = t["refused_m"] = t["creep_ratio"] = t["found"] = 0.0
-        if self._probing_step is not None:
-            self._probing_step.reset()
+        if self.probing_step is not None:
+            self.probing_step.reset()
         if self._errors is not None:
             self._errors.release()
         t["strain_uncertainty"] = strain_uncertainty
@@ -256,7 +250,7 @@ class SpanEstimator:
         self._t["bank"] = 0.0  # until the method starts from the result
 
     def _forget(self, what: int) -> None:
-        cycle.run_arrays(what, _NOTHING_MEASURED, self._table)
+        cycle.run_arrays(what, _NOTHING_MEASURED, self.table)
 
     def use(self, synchronizer: SynchronizerConfig | None) -> None:
         """Switch to another method (None: the configured one) from the present E, bumpless."""
@@ -286,7 +280,7 @@ class SpanEstimator:
         self._nuisances, self._input_strain = estimate.nuisances, estimate.upstream_strain
         self._t["black_box"] = estimate.upstream_strain is not None
         stated = estimate.youngs_modulus_Pa, estimate.deviation_Pa
-        cycle.run_arrays(cycle.STATE, (*map(float, stated), *_NOTHING_MEASURED[2:]), self._table)
+        cycle.run_arrays(cycle.STATE, (*map(float, stated), *_NOTHING_MEASURED[2:]), self.table)
 
     @property
     def estimate(self) -> Estimate:
@@ -319,11 +313,6 @@ class SpanEstimator:
     def torque_shift_Nm(self) -> float:
         """Shift of the measured torque that has been found and is compensated."""
         return float(self._t["shift_Nm"])
-
-    @property
-    def residual_Nm(self) -> float:
-        """Torque residual: measured, less the shift, less simulated."""
-        return float(self._t["residual_Nm"])
 
     @property
     def problem(self) -> Problem | None:
@@ -362,24 +351,9 @@ class SpanEstimator:
         return self._balance.web.strain.item(0)
 
     @property
-    def series_factor(self) -> float:
-        """Factor on E of the span by pieces of other web, as springs in series."""
-        return float(self._t["series_factor"])
-
-    @property
     def leaving_strain(self) -> float:
         """Strain of the web leaving the span: all pieces carry the same tension, each with its own strain."""
-        return self.strain * self.series_factor / float(self._t["end_factor"])
-
-    @property
-    def length_m(self) -> float:
-        """Length between the rollers."""
-        return self._balance.span_length_m
-
-    @property
-    def mass_kg(self) -> float:
-        """Mass at the web of the rollers after the span."""
-        return self._balance.mass_kg
+        return self.strain * float(self._t["series_factor"]) / float(self._t["end_factor"])
 
     def put_pieces(self, pieces: Sequence[Piece]) -> None:
         """Set the pieces of other web in the span, by the travel of the roller before it."""
@@ -448,7 +422,7 @@ class SpanEstimator:
         """Take the measurement of the instant that a line of two rollers has been simulated to; update the line."""
         self.place(x1_m, x2_m, strain_prev)
         values = x1_m, x2_m, torque_Nm, torque_sim_Nm, strain_prev, F_next_N, nan, nan, 0.0
-        stage = cycle.run_arrays(cycle.COMPARE, tuple(map(float, values)), self._table)
+        stage = cycle.run_arrays(cycle.COMPARE, tuple(map(float, values)), self.table)
         if stage == cycle.DONE:
             self.has_advanced()
         else:
@@ -476,10 +450,10 @@ class SpanEstimator:
         elif t["bank"]:
             self._nuisances = None
         if stage != cycle.SHIFT:
-            stage = cycle.run_arrays(cycle.LOOK_FOR_SHIFT, _NOTHING_MEASURED, self._table)
+            stage = cycle.run_arrays(cycle.LOOK_FOR_SHIFT, _NOTHING_MEASURED, self.table)
         if stage == cycle.SHIFT:
             self._take_out_shift()
-            cycle.run_arrays(cycle.TRANSFER, _NOTHING_MEASURED, self._table)
+            cycle.run_arrays(cycle.TRANSFER, _NOTHING_MEASURED, self.table)
 
     def _sample(self, strain_prev: float, force_N: float) -> SyncSample:
         """Sample of this cycle for a method, with this force in the balance."""
@@ -556,7 +530,7 @@ class SpanEstimator:
 
         The result is used, and the remaining torque taken as a shift, if it is more certain than the present estimate.
         """
-        change, t = self._probing_step, self._t
+        change, t = self.probing_step, self._t
         if change is None or not t["measured"]:
             return
         if self.problem is not None or t["strain_uncertainty"] != 0.0 or self._input_strain is not None:

@@ -278,7 +278,7 @@ class WebLineTwin:
         if self._others is not None or self.plant.changes_elasticity or self._must_come_back:
             return False
         # While it refuses measured states, the simulation may have to be reset.
-        return all(each.in_arrays and not each.refused for each in self._all)
+        return all(each.probing_step is None and not each.refused for each in self._all)
 
     def warm_up_in_vectors(self) -> None:
         """Compile, or load, the functions for running in vectors."""
@@ -312,7 +312,7 @@ class WebLineTwin:
                 residual_Nm = self._cycle.residual_Nm(self._all.index(each))
                 modulus_Pa, deviation_Pa = each.modulus_and_deviation_Pa
                 # The effective E is stated, as of a measured web.
-                factor = line.elasticity_factor(span) * each.series_factor
+                factor = line.elasticity_factor(span) * float(each.state["series_factor"])
                 values += (factor * modulus_Pa, factor * deviation_Pa, self.ports[span].torque_Nm, residual_Nm)
         return tuple(values)
 

@@ -117,7 +117,9 @@ class SpliceTracker:
         self._remember(first, positions_m[0])
         self._follow_seeming(first)
         tracking = first.tracking
-        entered = self._finder.update(tracking.used, positions_m[0], self._seeming / tracking.series_factor)
+        entered = self._finder.update(
+            tracking.used, positions_m[0], self._seeming / float(tracking.state["series_factor"])
+        )
         tracking.suspect_other_web(suspected=self._finder.suspects)
         if entered is not None:
             self._enter(first, entered)
