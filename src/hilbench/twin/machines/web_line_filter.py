@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from hilbench.estimation.noise_level import NoiseLevels
+from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.web_line.augmented_filter import AugmentedFilter, Posterior
 from hilbench.estimation.web_line.transients import Transient
 from hilbench.plant.parameters import per_item
@@ -238,8 +238,7 @@ class LineFilter:
             believed + moduli, self._is_modulus, rates, self._offsets, swings, swings_on, swinging
         )
         self._set_growth()
-        limits_Nm = np.array(self._limits_Nm)
-        self._noise = NoiseLevels(0.01 * limits_Nm, 1e-4 * limits_Nm)
+        self._noise = [NoiseLevel(0.01 * limit_Nm, 1e-4 * limit_Nm) for limit_Nm in self._limits_Nm]
         self._positions_m, self._travel_m, self._window_travel_m = list(positions_m), 0.0, 0.0
         self._time_s = 0.0
         self._sensed = np.zeros(len(self._sensors.offsets))  # sensor residuals to the simulated line
@@ -352,7 +351,9 @@ class LineFilter:
             return True
         answered = self._response.torques_Nm
         left = (residuals_Nm - answered[:, -1])[self._rows]
-        self._noise.update(left)
+        for level, left_Nm in zip(self._noise, left.tolist(), strict=True):
+            level.update(left_Nm)
+        self._variances_Nm2 = np.array([level.variance for level in self._noise])
         if not limited and self._look_for_transients(time_s, left):
             self._response.step(self._loads)
             self._begin_window()
@@ -453,7 +454,7 @@ class LineFilter:
         if not self._identifies_moduli or self._slips or self._time_s < _TRANSIENTS_FROM_S:
             self._forget_transients()
             return False
-        variances = self._least_variances + self._noise.variances
+        variances = self._least_variances + self._variances_Nm2
         found = [(place, watch.take(left_Nm, variances)) for place, watch in self._transients]
         for place, transient in found:
             if transient is not None:
@@ -613,7 +614,7 @@ class LineFilter:
         return self._left, growth, travel_m
 
     def _variances(self, count: int) -> Vector:
-        noise = self._noise.variances / count + (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
+        noise = self._variances_Nm2 / count + (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
         swing = exp(-self._time_s / _SWING_S)
         noise += (_SWING_SHARE * np.array(self._limits_Nm) * swing) ** 2
         sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
