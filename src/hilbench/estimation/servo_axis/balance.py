@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import Reals, Reals2, Reals3, Record, compiled, inlined
+from hilbench.compiled import Reals, Reals2, Reals3, Record, compiled, inlined, record_type
 from hilbench.estimation import noise_level
 from hilbench.estimation.assumptions import CERTAIN, TORQUE_FLOOR_NM
 from hilbench.estimation.bank import Array
@@ -76,24 +76,14 @@ class ShaftSample:
     ripple_Nm: float = 0.0
 
 
-_STATE: Final = np.dtype(
-    [
-        ("followed", "f8"),  # cycles of followed motion; -1: none
-        ("missing", "f8"),  # cycles without a sample since the last one
-        ("odd", "f8"),  # samples in a row with an unexpected number of cycles since the previous one
-        ("sticking", "f8"),  # 1: dry friction may be anything
-        ("before_Nm", "f8"),  # torque of the last sample; NaN: none
-        ("lost", "f8"),  # true if the inertia filters have lost the motion
-        ("in_doubt", "f8"),  # true if the last sample may be of another time than assumed
-        ("cycle_s", "f8"),
-        ("noise_gain", "f8"),  # noise of the filter's acceleration by that of the position
-        ("gear_ratio", "f8"),
-        ("breakaway_Nm", "f8"),
-        ("unforeseen_rad_s2", "f8"),  # recently unpredicted acceleration,
-        ("unforeseen_gain", "f8"),  # and its gain from a position error
-        ("slow", "f8"),  # cycles at low speed
-        ("largest_change_rad_s2", "f8"),  # of the acceleration
-    ]
+#: Cycles of followed motion, -1: none; cycles without a sample since the last one; samples in a row with an unexpected
+#: number of cycles since the previous one; 1: dry friction may be anything; torque of the last sample, NaN: none;
+#: whether the inertia filters have lost the motion, or the last sample may be of another time than assumed. Cycle time;
+#: noise of the filter's acceleration by that of the position; gear ratio; dry friction at standstill; recently
+#: unpredicted acceleration, its gain from a position error, and its largest change by the motors; cycles at low speed.
+_STATE: Final = record_type(
+    *("followed", "missing", "odd", "sticking", "before_Nm", "lost", "in_doubt", "cycle_s", "noise_gain", "gear_ratio"),
+    *("breakaway_Nm", "unforeseen_rad_s2", "unforeseen_gain", "largest_change_rad_s2", "slow"),
 )
 
 

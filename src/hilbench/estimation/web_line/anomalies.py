@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import Record, compiled, inlined
+from hilbench.compiled import Record, compiled, inlined, record_type
 from hilbench.estimation import ring
 from hilbench.estimation.assumptions import CERTAIN
 from hilbench.estimation.problems import Problem
@@ -56,28 +56,20 @@ _WEB_BREAK, _SLIP = int(Problem.WEB_BREAK), int(Problem.SLIP)
 _NONE = -1.0
 #: Number of ratios that are noted for their range: a span's length after length, while an initial difference leaves.
 _NOTED: Final = round(PASSED_SPANS / _NOTED_EVERY)
+#: State: E that the ratio is formed with; length of the span; least tension by the strain; the block before; the usual
+#: tension, and the mean square of the difference of two blocks' tensions; travel since a change that is not judged yet;
+#: what is left until a change counts; ratios before a change and soon after it; least ratio that was noted. Then the
+#: ratios of the blocks before, and those noted for their range.
 ANOMALIES: Final = np.dtype(
     [
-        ("modulus_Pa", "f8"),  # what the ratio is formed with
-        ("span_m", "f8"),
-        ("least_N", "f8"),  # least tension by the strain
-        ("has_last", "f8"),  # the block before this one
-        ("last_N", "f8"),
-        ("last_per_Pa", "f8"),
-        ("usual_N", "f8"),
-        ("scatter_N2", "f8"),  # mean square of the difference of two blocks' tensions
-        ("since_change_m", "f8"),  # travel since a change that is not judged yet
-        ("quiet_m", "f8"),
-        ("ratio_before", "f8"),
-        ("ratio_at_once", "f8"),
-        ("since_noted_m", "f8"),
-        ("least", "f8"),
-        ("settling", "f8"),
-        ("broken_now", "f8"),
-        ("slipping", "f8"),
-        ("before", RING),  # of `ratios`: those of the blocks before
+        *record_type(
+            *("modulus_Pa", "span_m", "least_N", "has_last", "last_N", "last_per_Pa", "usual_N", "scatter_N2"),
+            *("since_change_m", "quiet_m", "ratio_before", "ratio_at_once", "since_noted_m", "least", "settling"),
+            *("broken_now", "slipping"),
+        ).descr,
+        ("before", RING),
         ("ratios", "f8", (BEFORE,)),
-        ("noted", RING),  # of `swung`
+        ("noted", RING),
         ("swung", "f8", (_NOTED,)),
     ]
 )

@@ -124,9 +124,7 @@ def initial_strains(model: ModelParameters) -> InitialStrains:
     """Initial strains of a line, E as in the model."""
     spans = range(1, model.span_count + 1)
     return InitialStrains(
-        [model.span_length_m(span) for span in spans],
-        creeps_per_N(model),
-        [model.stiffness_N(span) for span in spans],
+        [model.span_length_m(span) for span in spans], creeps_per_N(model), [model.stiffness_N(span) for span in spans]
     )
 
 

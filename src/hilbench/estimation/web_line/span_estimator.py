@@ -99,9 +99,7 @@ class SpanEstimator:
             (e.parameters.get("delay_s", 0.0) for e in model.effects if (e.effect, e.axis) == ("torque_delay", 2)), 0.0
         )
         self._anomalies = anomalies.new_state(
-            model.youngs_modulus_Pa(1),
-            machine_sizes(model, 2).force_N,
-            model.span_length_m(1),
+            model.youngs_modulus_Pa(1), machine_sizes(model, 2).force_N, model.span_length_m(1)
         )
         self._blocks = block_means.new_state(balance.mass_kg, cycle_s)
         self._shift = torque_shift.new_state()

@@ -10,8 +10,6 @@ from __future__ import annotations
 from math import exp, hypot, inf, isfinite, isnan
 from typing import Annotated, Any, Final, NamedTuple
 
-import numpy as np
-
 from hilbench.compiled import (
     COUNT,
     TABLE,
@@ -22,6 +20,7 @@ from hilbench.compiled import (
     entry_point,
     inlined,
     reals,
+    record_type,
     rows_of,
 )
 from hilbench.estimation import plausibility
@@ -55,66 +54,29 @@ COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(
 #: And E is stated, by a method in Python.
 INTERRUPT, SUSPEND, NEW_WEB, STATE = range(DONE + 1, DONE + 5)
 
-#: State of a span estimator, SI; true is 1, false 0. Derived from model and config:
-SPAN: Final = np.dtype(
-    [
-        ("cycle_s", "f8"),
-        ("force_per_torque", "f8"),
-        ("section_m2", "f8"),
-        ("span_m", "f8"),
-        ("span", "f8"),  # of the line, from 0
-        ("has_errors", "f8"),  # unmodelled effects are estimated
-        ("bank", "f8"),  # the method is the bank of filters
-        ("black_box", "f8"),  # E of the line stays
-        ("compensates", "f8"),  # shifts of the torque are looked for
-        ("finds_delay", "f8"),
-        ("delayed", "f8"),  # there may be a delay
-        ("transfers_strain", "f8"),
-        ("transfers_axes", "f8"),
-        ("strain_limit", "f8"),
-        ("position_limit_m", "f8"),
-        ("velocity_limit_m_s", "f8"),
-        # What is known:
-        ("modulus_Pa", "f8"),
-        ("deviation_Pa", "f8"),
-        ("own_deviation_Pa", "f8"),  # without unmodelled effects
-        ("unmodelled_N", "f8"),
-        ("shift_Nm", "f8"),
-        ("delay_s", "f8"),
-        ("strain_uncertainty", "f8"),
-        ("web_per_Pa", "f8"),
-        ("other_web", "f8"),  # E may be changing because other web comes in
-        # Of the present cycle:
-        ("missed_s", "f8"),  # since the last measurement
-        ("runs", "f8"),  # the line has been simulated since the release
-        ("torque_Nm", "f8"),  # measured, less the shift
-        ("torque_sim_Nm", "f8"),
-        ("position_1_m", "f8"),
-        ("position_2_m", "f8"),
-        ("residual_Nm", "f8"),
-        ("problem", "f8"),
-        ("refused", "f8"),  # cycles in a row in which a measured state was not taken over
-        ("refused_m", "f8"),  # web that has passed meanwhile
-        ("spliced", "f8"),
-        ("series_factor", "f8"),
-        ("end_factor", "f8"),
-        ("now_N", "f8"),  # instantaneous force of the balance, compensated for unmodelled effects
-        ("measured", "f8"),  # there is a balance
-        (
-            "used",
-            "f8",
-        ),  # E was found from the next four: the balance at the (delayed) time of the torque, uncompensated
-        ("used_m", "f8"),
-        ("used_N", "f8"),
-        ("used_per_Pa", "f8"),
-        ("used_m_s", "f8"),
-        ("corrected_N", "f8"),  # the delayed force, compensated
-        ("rebased_Pa", "f8"),  # change of E by a change of the compensation
-        ("moved", "f8"),  # the motors' feedback has changed
-        ("creep_ratio", "f8"),  # share by which the web leaves the span slower than the roller turns
-        ("found", "f8"),  # the strain has just been initialized; the simulation had a guess
-        ("frozen", "f8"),  # cycle time uncertain: no adaptation
-    ]
+#: State of a span estimator, SI; true is 1, false 0.
+SPAN: Final = record_type(
+    # Derived from model and config: number of the span in the line, from 0; whether unmodelled effects are estimated;
+    # the method is the bank of filters, or leaves E of the line (`black_box`); shifts of the torque and a delay are
+    # looked for, or there may be a delay; what is transferred.
+    *("cycle_s", "force_per_torque", "section_m2", "span_m", "span", "has_errors", "bank", "black_box", "compensates"),
+    *("finds_delay", "delayed", "transfers_strain", "transfers_axes", "strain_limit", "position_limit_m"),
+    "velocity_limit_m_s",
+    # What is known; `own_deviation_Pa` is without unmodelled effects; with `other_web` E may be changing because other
+    # web comes in.
+    *("modulus_Pa", "deviation_Pa", "own_deviation_Pa", "unmodelled_N", "shift_Nm", "delay_s", "strain_uncertainty"),
+    *("web_per_Pa", "other_web"),
+    # Of the present cycle: time since the last measurement; whether the line has been simulated since the release;
+    # torques less the shift; cycles in a row in which a measured state was refused, and the web that has passed
+    # meanwhile; instantaneous force, compensated for unmodelled effects; whether there is a balance.
+    *("missed_s", "runs", "torque_Nm", "torque_sim_Nm", "position_1_m", "position_2_m", "residual_Nm", "problem"),
+    *("refused", "refused_m", "spliced", "series_factor", "end_factor", "now_N", "measured"),
+    # E was found from the next four: the balance at the (delayed) time of the torque, uncompensated; then the delayed
+    # force, compensated, and the change of E by a change of the compensation.
+    *("used", "used_m", "used_N", "used_per_Pa", "used_m_s", "corrected_N", "rebased_Pa"),
+    # The motors' feedback has changed; share by which the web leaves the span slower than the roller turns; the strain
+    # has just been initialized, the simulation had a guess; cycle time uncertain: no adaptation.
+    *("moved", "creep_ratio", "found", "frozen"),
 )
 
 
@@ -195,13 +157,7 @@ def _compare(v: SpanEstimatorArrays, measured: tuple[float, ...]) -> int:
     if t.delayed != 0.0:
         if coherent:
             coherent, t.used_m, t.used_N, t.used_per_Pa, t.used_m_s = delay.pair(
-                v.delay_line,
-                now.x2_m,
-                force_N,
-                web_per_Pa,
-                velocity_m_s,
-                torque_Nm * t.force_per_torque,
-                t.delay_s,
+                v.delay_line, now.x2_m, force_N, web_per_Pa, velocity_m_s, torque_Nm * t.force_per_torque, t.delay_s
             )
         else:
             delay.forget(v.delay_line)
@@ -279,15 +235,7 @@ def _look_for_errors(v: SpanEstimatorArrays, F_next_N: float) -> None:
         return
     web_per_Pa = t.used_per_Pa
     unmodelled_filter.take(
-        errors,
-        t.position_1_m,
-        t.used_m,
-        t.torque_Nm,
-        t.used_N,
-        web_per_Pa,
-        t.used_m_s,
-        F_next_N,
-        t.modulus_Pa,
+        errors, t.position_1_m, t.used_m, t.torque_Nm, t.used_N, web_per_Pa, t.used_m_s, F_next_N, t.modulus_Pa
     )
     rebased_N = errors.rebased_N
     if rebased_N != 0.0 and web_per_Pa > 0.0:

@@ -72,7 +72,7 @@ def collect(s: Record, force_N: float, web_per_Pa: float, velocity_m_s: float, b
 
 
 #: Kinds of change, and shapes of the compliance: E of the web in the span, the web that comes in, a short piece of it.
-_STEP, _WEB, _SHORT = _KINDS = range(3)
+_STEP, _WEB, _SHORT, _KINDS = range(4)
 #: Best fit of a shape over joint positions: squares explained, position index, change, and mean of the shape.
 _FOUND: Final = record_type("explained", "place", "change", "mean")
 
@@ -82,11 +82,11 @@ def _explain_all(travels: Vector, values: Vector, motion: Array, fronts: Vector,
     """Best least squares of values (n,) as a shape of each kind times its change, orthogonal to orthonormal rows
     (k, n): `_FOUND` of each kind. Travels (n,) and `fronts` (m,) in lengths of the span."""
     count, of_values, of_shape = len(values), np.zeros(len(motion)), np.zeros(len(motion))
-    shapes = np.zeros((len(_KINDS), count))  # compliance relative to the change of the whole span's
+    shapes = np.zeros((_KINDS, count))  # compliance relative to the change of the whole span's
     for k in range(len(motion)):
         for j in range(count):
             of_values[k] += motion[k, j] * values[j]
-    for kind in _KINDS:
+    for kind in range(_KINDS):
         viewed(best[kind], _FOUND)[0].explained = -1.0
     for place in range(len(fronts)):
         for j in range(count):
@@ -94,7 +94,7 @@ def _explain_all(travels: Vector, values: Vector, motion: Array, fronts: Vector,
             left = exp(-into) if into > 0.0 else 0.0
             shapes[_STEP, j] = 1.0 if into > 0.0 else 0.0
             shapes[_WEB, j], shapes[_SHORT, j] = shapes[_STEP, j] - left, left
-        for kind in _KINDS:
+        for kind in range(_KINDS):
             shape, found, squares, product, total = shapes[kind], viewed(best[kind], _FOUND)[0], 0.0, 0.0, 0.0
             for j in range(count):
                 squares += shape[j] * shape[j]
@@ -211,7 +211,7 @@ class SpliceFinder:
         rest = (total - max(fit.gain for fit in fits)) / len(compliances)
         inside_yet = [fit.gain for fit in fits if travels_m[-1] - fit.front_m < _THROUGH * self._length_m]
         self.suspects = max(inside_yet, default=0.0) > _SUSPECTED * max(rest, 1.0)
-        identifiable = {kind for kind in _KINDS if self._is_identifiable(kind, fits[kind], float(travels_m[-1]))}
+        identifiable = {kind for kind in range(_KINDS) if self._is_identifiable(kind, fits[kind], float(travels_m[-1]))}
         if not self._decide([fit.gain / max(rest, 1.0) for fit in fits], identifiable):
             return None
         kind = self._kind
@@ -232,8 +232,8 @@ class SpliceFinder:
     def _fits(self, travels_m: Array, compliances: Array, motion: Array, fronts_m: Array, noise: float) -> list[_Fit]:
         """Best least-squares fit of a + b·shape + motion for each kind; motion (n, k): as of `_known_regressors`."""
         values, rows = np.ascontiguousarray(compliances), np.ascontiguousarray(motion.T)
-        best, mean, fits = np.zeros(len(_KINDS), _FOUND), float(values.mean()), []
-        of_kinds = best.view(np.float64).reshape(len(_KINDS), -1)
+        best, mean, fits = np.zeros(_KINDS, _FOUND), float(values.mean()), []
+        of_kinds = best.view(np.float64).reshape(_KINDS, -1)
         _explain_all(travels_m / self._length_m, values, rows, fronts_m / self._length_m, of_kinds)
         for explained, place, change, of_shape in best.tolist():
             share = change / (mean - change * of_shape)
@@ -250,7 +250,7 @@ class SpliceFinder:
 
         A short piece that has just come in is like a step: what is uncertain keeps its kind.
         """
-        best, next_best = sorted(_KINDS, key=gains.__getitem__, reverse=True)[:2]
+        best, next_best = sorted(range(_KINDS), key=gains.__getitem__, reverse=True)[:2]
         if gains[best] < _CHANGED:
             return self._kind is not None
         than = next_best

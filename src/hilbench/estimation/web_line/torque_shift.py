@@ -26,7 +26,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import Record, compiled
+from hilbench.compiled import Record, compiled, record_type
 from hilbench.estimation import ring
 from hilbench.estimation.assumptions import LATE
 from hilbench.estimation.ring import RING
@@ -58,39 +58,19 @@ _MOVED = 5.0
 _LEAST, _LONG, _LONGEST = 15, 150, 3000
 
 
-#: State. Of a change: values before it (E of the line through the blocks before: stated E includes other effects) and
-#: sums over the blocks since, of force f and web h; the result. Then the blocks before: force, web, final speed and
-#: stated E of each.
+#: State. Of a change: values before it (E of the line through the blocks before: stated E includes other effects;
+#: factor on the noise of a sum, relative to white noise), force and web of the block before, sums over the blocks
+#: since, of force f, web h and their changes d from block to block; the result. Then the blocks before: force, web,
+#: final speed and stated E of each.
 SHIFT: Final = np.dtype(
     [
-        ("open", "f8"),
-        ("modulus_Pa", "f8"),
-        ("stated_Pa", "f8"),
-        ("web_per_Pa", "f8"),
-        ("web_variance_per_Pa2", "f8"),
-        ("variance_N2", "f8"),
-        ("slowness", "f8"),  # factor on the noise before in a sum, relative to white noise
-        ("hits", "f8"),
-        ("leans_to_modulus", "f8"),
-        ("has_followed", "f8"),
-        ("last_N", "f8"),  # force and web of the block before
-        ("web_last_per_Pa", "f8"),
-        ("count", "f8"),
-        ("f", "f8"),
-        ("h", "f8"),
-        ("ff", "f8"),
-        ("fh", "f8"),
-        ("hh", "f8"),
-        ("dff", "f8"),  # of their changes from block to block
-        ("dfh", "f8"),
-        ("dhh", "f8"),
-        ("found_N", "f8"),
-        ("found_Pa", "f8"),
+        *record_type(
+            *("open", "modulus_Pa", "stated_Pa", "web_per_Pa", "web_variance_per_Pa2", "variance_N2", "slowness"),
+            *("hits", "leans_to_modulus", "has_followed", "last_N", "web_last_per_Pa"),
+            *("count", "f", "h", "ff", "fh", "hh", "dff", "dfh", "dhh", "found_N", "found_Pa"),
+        ).descr,
         ("before", RING),
-        ("forces_N", "f8", (_BEFORE,)),
-        ("webs_per_Pa", "f8", (_BEFORE,)),
-        ("speeds_m_s", "f8", (_BEFORE,)),
-        ("moduli_Pa", "f8", (_BEFORE,)),
+        *[(name, "f8", (_BEFORE,)) for name in ("forces_N", "webs_per_Pa", "speeds_m_s", "moduli_Pa")],
     ]
 )
 

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import VECTOR, entry_point, viewed
+from hilbench.compiled import VECTOR, Record, entry_point, viewed
 from hilbench.estimation.assumptions import POSITION_FLOOR_M, POSITION_NOISE_M, SEPARABLE, TORQUE_FLOOR_NM
 from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
@@ -22,7 +22,7 @@ from hilbench.estimation.web_line import unmodelled_filter as filters
 from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.estimation.web_line.block_means import BLOCK_S
 from hilbench.estimation.web_line.config import ModelErrorsConfig, Prior
-from hilbench.estimation.web_line.unmodelled_filter import FILTER, Record
+from hilbench.estimation.web_line.unmodelled_filter import FILTER
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -54,14 +54,7 @@ _STATES: Final = {
 }
 _NAMED: Final = ("torque_offset_Nm", "dry_friction_N", "viscous_friction_N_s_per_m", "creep_per_N")
 _FORCES: Final = ("torque_offset_Nm", "dry_friction_N", "viscous_friction_N_s_per_m")
-_TURNING: Final = (
-    filters.UNBALANCE_COS,
-    filters.UNBALANCE_SIN,
-    filters.COS2,
-    filters.SIN2,
-    filters.COS1,
-    filters.SIN1,
-)
+_TURNING: Final = (filters.UNBALANCE_COS, filters.UNBALANCE_SIN, filters.COS2, filters.SIN2, filters.COS1, filters.SIN1)
 
 
 def prior_deviations(config: ModelErrorsConfig, model: ModelParameters, force_per_torque_per_m: float) -> Array:
@@ -76,8 +69,7 @@ def prior_deviations(config: ModelErrorsConfig, model: ModelParameters, force_pe
     friction_N = 0.01 * config.friction_pct * tension_N
     priors = np.zeros(f.STATES)
     priors[f.OFFSET] = hypot(
-        0.01 * config.torque_offset_pct * limit_Nm * force_per_torque_per_m,
-        0.01 * config.strain_pct * tension_N,
+        0.01 * config.torque_offset_pct * limit_Nm * force_per_torque_per_m, 0.01 * config.strain_pct * tension_N
     )
     priors[f.DRY] = friction_N
     priors[f.STRIBECK] = priors[f.STUCK] = _STUCK * friction_N

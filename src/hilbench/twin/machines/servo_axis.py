@@ -129,11 +129,7 @@ class ServoAxisTwin:
         speed_rad_s = (position_rad - then_rad) / self._cycle_s
         moves = abs(speed_rad_s) > _MOVES_RAD_S
         self.plant.set_state(
-            {
-                "x1_rad": position_rad,
-                "v1_rad_s": speed_rad_s if moves else 0.0,
-                "tau1_Nm": torque_Nm if moves else 0.0,
-            }
+            {"x1_rad": position_rad, "v1_rad_s": speed_rad_s if moves else 0.0, "tau1_Nm": torque_Nm if moves else 0.0}
         )
         self._shows["before_Nm"] = nan
         self._kept = (self._estimator.known(),)

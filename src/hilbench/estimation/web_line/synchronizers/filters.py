@@ -23,13 +23,7 @@ from hilbench.compiled import (
     table_of,
 )
 from hilbench.estimation import bank, motion_filter, noise_level
-from hilbench.estimation.assumptions import (
-    POSITION_FLOOR_M,
-    POSITION_NOISE_M,
-    SEPARABLE,
-    SHAKING,
-    TORQUE_FLOOR_NM,
-)
+from hilbench.estimation.assumptions import POSITION_FLOOR_M, POSITION_NOISE_M, SEPARABLE, SHAKING, TORQUE_FLOOR_NM
 from hilbench.estimation.bank import Array, BankArrays, Places
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.web_line.config import ChangepointConfig, EkfConfig
