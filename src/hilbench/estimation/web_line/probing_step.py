@@ -55,19 +55,6 @@ class DriveLoop:
     sample_s: float
     deviation: float
 
-    @property
-    def acting_kp_N_s_per_m(self) -> float:
-        """Effective kp at a slow change of speed: a lagging integral lacks a part proportional to the speed error.
-
-        The hold of half a sample is compensated by the last error, which a sampled integral already contains.
-        """
-        return self.kp_N_s_per_m - self.ki_N_per_m * self.current_loop_s
-
-    @property
-    def acting_mass_kg(self) -> float:
-        """Force per acceleration by kp's lag."""
-        return self.kp_N_s_per_m * (self.current_loop_s + 0.5 * self.sample_s)
-
 
 @dataclass(frozen=True, slots=True)
 class KnownTension:
@@ -156,7 +143,10 @@ class ProbingStep:
         before, at = self._values[0], self._values[1]
         web, force_N, held_N = (0.5 * (one + other) for one, other in zip(before, at, strict=True))
         if self._loop is not None:  # the set-point is constant: its part is, too
-            held_N -= self._loop.acting_kp_N_s_per_m * speed_m_s
+            # A lagging integral lacks a part proportional to the speed error. The hold of half a sample is compensated
+            # by the last error, which a sampled integral already contains.
+            kp_N_s_per_m = self._loop.kp_N_s_per_m - self._loop.ki_N_per_m * self._loop.current_loop_s
+            held_N -= kp_N_s_per_m * speed_m_s
         self._sums = (self._sums[0] + web, self._sums[1] + force_N, self._sums[2] + held_N)
         self._count += 1
         if self._count < self._cycles:
@@ -164,7 +154,8 @@ class ProbingStep:
         taken_N = self._mass_kg * (speed_m_s - self._first_m_s) / (self._count * self._cycle_s)
         web, force_N, held_N = (total / self._count for total in self._sums)
         if self._loop is not None:
-            held_N += self._loop.acting_mass_kg / self._mass_kg * taken_N
+            lag_kg = self._loop.kp_N_s_per_m * (self._loop.current_loop_s + 0.5 * self._loop.sample_s)
+            held_N += lag_kg / self._mass_kg * taken_N
         self._blocks.append((web, force_N - taken_N, held_N))
         self._begin(speed_m_s)
         return self._known() if len(self._blocks) >= _LEAST_BLOCKS else None

@@ -114,18 +114,15 @@ class SpanEstimator:
         self._nuisances: tuple[Nuisance, ...] | None = ()  # None: those that the bank has found
         self._input_strain: float | None = None
         # Without a bank, or without unmodelled effects, spare vectors fill the table.
-        self._spare_errors, self._spare_bank = self._new_errors(), self._new_bank(ChangepointConfig())
+        spare_bank = ChangepointSynchronizer(ChangepointConfig(), Plant.of(balance, self._initial_Pa))
+        self._spare_errors, self._spare_bank = self._new_errors(), spare_bank
         self.reset()
 
     def _new_state(self) -> NDArray[np.void]:
         state, config, balance = np.zeros(1, cycle.SPAN), self.config, self._balance
         t = state[0]
-        t["cycle_s"], t["force_per_torque"], t["section_m2"] = (
-            self._cycle_s,
-            balance.force_per_torque_per_m,
-            balance.section_m2,
-        )
-        t["span_m"], t["span"] = balance.span_length_m, self.span - 1
+        t["cycle_s"], t["force_per_torque"] = self._cycle_s, balance.force_per_torque_per_m
+        t["section_m2"], t["span_m"], t["span"] = balance.section_m2, balance.span_length_m, self.span - 1
         t["compensates"] = config.torque_shift != "ignore"
         t["finds_delay"] = config.torque_delay == "estimate"
         t["delayed"] = config.torque_delay == "estimate" or self._model_delay_s != 0.0
@@ -139,9 +136,6 @@ class SpanEstimator:
         config, balance = self.config, self._balance
         priors = [prior for prior in config.priors if prior.axis == _AXIS]
         return UnmodelledEffects(config.model_errors, self._model, balance, self._initial_Pa, self._cycle_s, priors)
-
-    def _new_bank(self, config: ChangepointConfig) -> ChangepointSynchronizer:
-        return ChangepointSynchronizer(config, Plant.of(self._balance, self._initial_Pa))
 
     def _gather(self) -> None:
         """Collect the current state arrays and the table of their addresses."""
@@ -339,19 +333,10 @@ class SpanEstimator:
     def _balance_used(self) -> BalanceSample:
         return BalanceSample(*[float(self._t[f"used_{name}"]) for name in ("m", "N", "per_Pa", "m_s")])
 
-    def suspect_other_web(self, *, suspected: bool) -> None:
-        """Set that E may be changing because other web enters the span."""
-        self._t["other_web"] = suspected
-
     @property
     def strain(self) -> float:
         """Strain of the web in the span, by the encoders."""
         return self._balance.web.strain.item(0)
-
-    @property
-    def leaving_strain(self) -> float:
-        """Strain of the web leaving the span: all pieces carry the same tension, each with its own strain."""
-        return self.strain * float(self._t["series_factor"]) / float(self._t["end_factor"])
 
     def put_pieces(self, pieces: Sequence[Piece]) -> None:
         """Set the pieces of other web in the span, by the travel of the roller before it."""
@@ -477,7 +462,7 @@ class SpanEstimator:
             method.rebase(float(t["rebased_Pa"]))
         t["web_per_Pa"] = t["used_per_Pa"]
         self._state(method.update(self._sample(strain_prev, float(t["corrected_N"]))))
-        t["bank"] = isinstance(method, ChangepointSynchronizer) and method.is_compiled
+        t["bank"] = isinstance(method, ChangepointSynchronizer) and method.started and not method.has_nuisances
 
     def _state_looked_for(self) -> None:
         """State E as assumed, with the deviation of the search, until the web is known."""
@@ -504,8 +489,12 @@ class SpanEstimator:
         t["strain_uncertainty"], t["found"] = 0.0, 1.0
         self._search = None
         self._believe_found(found)
-        if not passes:
-            self._know_at_rest(found)
+        if not passes:  # a movement from rest has shown friction as well
+            if self._errors is not None:
+                friction_sd_N = hypot(found.friction_deviation_N, _AT_SPEED * found.friction_N)
+                self._errors.know(found.youngs_modulus_Pa, found.deviation_Pa, found.friction_N, friction_sd_N)
+            if found.sticks:
+                self._plausibility.sticks(SLOW_M_S)
         webs.know(self._place)
 
     def _believe_found(self, found: InitialWeb | None) -> None:
@@ -514,14 +503,6 @@ class SpanEstimator:
             return
         self._state(Estimate(found.youngs_modulus_Pa, found.deviation_Pa))
         self.use(self._method)
-
-    def _know_at_rest(self, found: InitialWeb) -> None:
-        """Pass E and friction found by a movement from rest to the error filter."""
-        if self._errors is not None:
-            friction_sd_N = hypot(found.friction_deviation_N, _AT_SPEED * found.friction_N)
-            self._errors.know(found.youngs_modulus_Pa, found.deviation_Pa, found.friction_N, friction_sd_N)
-        if found.sticks:
-            self._plausibility.sticks(SLOW_M_S)
 
     def look_for_known_change(self, set_point_m_s: float) -> None:
         """Evaluate probing steps after `compare`: E from changes of the tension, at a steady set-point of axis 2 (m/s).

@@ -163,7 +163,10 @@ def _compare(v: SpanEstimatorArrays, measured: tuple[float, ...]) -> int:
             delay.forget(v.delay_line)
     usable = coherent and problem == 0 and not moved and t.frozen == 0.0
     if t.strain_uncertainty > 0.0:
-        _transport_out(t, velocity_m_s)
+        # Mass transport: exp(-v·t/L).
+        t.strain_uncertainty *= exp(-abs(velocity_m_s) * t.cycle_s / t.span_m)
+        if t.strain_uncertainty < initial_strains.KNOWN:
+            t.strain_uncertainty = 0.0
     if t.strain_uncertainty > 0.0:
         t.used = 1.0 if usable else 0.0
         return FOUND_WEB
@@ -213,14 +216,6 @@ def _find_delay(v: SpanEstimatorArrays, torque_Nm: float, torque_sim_Nm: float) 
     if v.t.has_errors != 0.0 and abs(v.t.delay_s - before_s) >= v.t.cycle_s:
         unmodelled_filter.forget(v.errors)
     return bool(v.t.delay_s != before_s)
-
-
-@inlined
-def _transport_out(t: Record, velocity_m_s: float) -> None:
-    """Decay of the strain uncertainty by mass transport: exp(-v·t/L)."""
-    t.strain_uncertainty *= exp(-abs(velocity_m_s) * t.cycle_s / t.span_m)
-    if t.strain_uncertainty < initial_strains.KNOWN:
-        t.strain_uncertainty = 0.0
 
 
 @compiled
@@ -323,23 +318,10 @@ def _transfer(v: SpanEstimatorArrays) -> None:
             t.moved = 1.0
 
 
-@compiled
-def outlet_strain(t: Record, strain: float) -> float:
-    """Inlet strain of the next span: measured strain × series factor / end factor, as all pieces carry the same
-    tension, corrected for creep."""
-    return float(equivalent_strain(strain * t.series_factor / t.end_factor, t.creep_ratio))
-
-
 @inlined
 def equivalent_strain(strain: float, creep_ratio: float) -> float:
     """Strain with the same mass flow as web creeping by `creep_ratio`: (1 + ε)/(1 − c) − 1."""
     return strain if creep_ratio == 0.0 else (1.0 + strain) / (1.0 - creep_ratio) - 1.0
-
-
-@inlined
-def reverse_outlet_strain(t: Record, strain: float) -> float:
-    """Inlet strain of the previous span in reverse: measured strain × series factor."""
-    return float(strain * t.series_factor)
 
 
 @compiled

@@ -211,7 +211,10 @@ class SpliceFinder:
         rest = (total - max(fit.gain for fit in fits)) / len(compliances)
         inside_yet = [fit.gain for fit in fits if travels_m[-1] - fit.front_m < _THROUGH * self._length_m]
         self.suspects = max(inside_yet, default=0.0) > _SUSPECTED * max(rest, 1.0)
-        identifiable = {kind for kind in range(_KINDS) if self._is_identifiable(kind, fits[kind], float(travels_m[-1]))}
+        # The compliance change is a web's, and the joint so far in that it is separable from a step.
+        entered_m = float(travels_m[-1]) - _LEAST_TRAVEL * self._length_m
+        likely = [stiffer < fit.share < softer for fit, (softer, stiffer) in zip(fits, _SHARES, strict=True)]
+        identifiable = {kind for kind in range(_KINDS) if likely[kind] and entered_m > fits[kind].front_m}
         if not self._decide([fit.gain / max(rest, 1.0) for fit in fits], identifiable):
             return None
         kind = self._kind
@@ -239,11 +242,6 @@ class SpliceFinder:
             share = change / (mean - change * of_shape)
             fits.append(_Fit(explained / noise**2, float(fronts_m[int(place)]), share))
         return fits
-
-    def _is_identifiable(self, kind: int, fit: _Fit, now_m: float) -> bool:
-        """True if the compliance change is a web's, and the joint so far in that it is separable from a step."""
-        softer, stiffer = _SHARES[kind]
-        return stiffer < fit.share < softer and now_m - fit.front_m > _LEAST_TRAVEL * self._length_m
 
     def _decide(self, gains: Sequence[float], identifiable: Set[int]) -> bool:
         """Select the explanation by the likelihood gains, among the identifiable ones; True if there is one.

@@ -162,20 +162,17 @@ class UnmodelledEffects:
         s["covariance"] = np.diag(s["prior"])
         s["covariance"][f.E, f.E], s["covariance"][f.DISTURBANCE, f.DISTURBANCE] = _INITIAL_E**2, s["unrest_N2"]
         s["spread_N"] = hypot(deviations[f.OFFSET], deviations[f.DRY])
-        self._set_groups()
+        evidence, prior = s["evidence"], s["prior"]
+        members = [(at, number) for number, group in enumerate(filters.GROUPS) for at in group if prior[at] > 0.0]
+        evidence["count"] = len(members)
+        for place, (at, number) in enumerate(members):
+            evidence["places"][place], evidence["groups"][place] = at, number
         self._set_cycle(cycle_s)
 
     @property
     def _record(self) -> np.void:
         found: np.void = self.state.view(FILTER)[0]
         return found
-
-    def _set_groups(self) -> None:
-        evidence, prior = self._record["evidence"], self._record["prior"]
-        members = [(at, number) for number, group in enumerate(filters.GROUPS) for at in group if prior[at] > 0.0]
-        evidence["count"] = len(members)
-        for place, (at, number) in enumerate(members):
-            evidence["places"][place], evidence["groups"][place] = at, number
 
     def _set_cycle(self, cycle_s: float) -> None:
         self._record["cycle_s"], self._record["block"] = cycle_s, max(2, round(BLOCK_S / cycle_s))

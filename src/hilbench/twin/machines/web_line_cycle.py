@@ -44,7 +44,6 @@ from hilbench.plant import sample_coherence
 from hilbench.plant.sample_coherence import IncrementCheck, SampleCoherence, coherent, increments_steadily
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_vectors, rig_cycle
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -127,15 +126,6 @@ def _of_span(table: Places, k: int) -> SpanEstimatorArrays:
 
 
 @compiled
-def _torque_of_motors_Nm(shown: Vector, rad_per_m: Vector, span: int) -> float:
-    """Torque of the simulated motors after a span (from 0), referred to the first of them."""
-    total_Nm = 0.0
-    for axis in range(span + 1, len(rad_per_m)):
-        total_Nm += shown[rig_cycle.SHOWN * axis + _TORQUE] * (rad_per_m[axis] / rad_per_m[span + 1])
-    return total_Nm
-
-
-@compiled
 def _measured(a: _LineArrays) -> bool:
     """Read positions and torques; True if the positions are coherent (of one instant)."""
     x_m, measured, rad_per_m, figures = a.positions_m, a.measured, a.rad_per_m, a.figures
@@ -169,8 +159,10 @@ def _compare(a: _LineArrays, table: Places, first: int, strain_prev: float, F_ne
             strain_before, creep_ratio = strain_prev, 0.0
         elif isnan(strain_before):
             before = _of_span(table, k - 1)
-            strain_before = cycle.outlet_strain(before.t, balance.strain(before.balance))
+            # All pieces carry the same tension: the web leaves with the strain of the last one.
+            strain_before = balance.strain(before.balance) * before.t.series_factor / before.t.end_factor
             creep_ratio = before.t.creep_ratio
+            strain_before = cycle.equivalent_strain(strain_before, creep_ratio)
         if k > 0 and _of_span(table, k - 1).t.moved != 0.0:
             _show(a)
         span.strain_before = strain_before
@@ -183,10 +175,12 @@ def _compare(a: _LineArrays, table: Places, first: int, strain_prev: float, F_ne
         if len(x_m) > 2:
             torque_Nm += rollers.force_behind_N(a.rollers, place + 2) / rad_per_m[place + 1]
             centre_m = rollers.centre_m(a.rollers, place + 2)
-        torque_sim_Nm = _torque_of_motors_Nm(shown, rad_per_m, place)
+        torque_sim_Nm = 0.0  # of all motors after the span, referred to the first of them
+        for axis in range(place + 1, len(rad_per_m)):
+            torque_sim_Nm += shown[rig_cycle.SHOWN * axis + _TORQUE] * (rad_per_m[axis] / rad_per_m[place + 1])
         if isnan(strain_behind) and k + 1 < len(spans):
             behind = _of_span(table, k + 1)
-            strain_behind = cycle.reverse_outlet_strain(behind.t, balance.strain(behind.balance))
+            strain_behind = balance.strain(behind.balance) * behind.t.series_factor
         around = strain_before, F_next_N, centre_m, strain_behind, creep_ratio
         compared = x_m[place], x_m[place + 1], torque_Nm, torque_sim_Nm, *around
         stage = run_arrays(cycle.COMPARE, compared, table[_OWN + k * cycle.ROWS :])

@@ -120,7 +120,7 @@ class SpliceTracker:
         entered = self._finder.update(
             tracking.used, positions_m[0], self._seeming / float(tracking.state["series_factor"])
         )
-        tracking.suspect_other_web(suspected=self._finder.suspects)
+        tracking.state["other_web"] = self._finder.suspects
         if entered is not None:
             self._enter(first, entered)
         for place, span in enumerate(self._spans):
@@ -166,8 +166,10 @@ class SpliceTracker:
         if not first.joints or now is None or not strain > 0.0:
             return
         share = abs(now.velocity_m_s) * self._cycle_s / tracking.length_m
-        seems = self._seeming * before
-        self._state["seeming"] = (seems + strain - before + share * (tracking.leaving_strain - seems)) / strain
+        seems, t = self._seeming * before, tracking.state
+        # All pieces carry the same tension, each with its own strain.
+        leaving = strain * float(t["series_factor"]) / float(t["end_factor"])
+        self._state["seeming"] = (seems + strain - before + share * (leaving - seems)) / strain
 
     def _hand_on(self, span: _Span, behind: _Span | None, before_m: float, behind_m: float) -> None:
         """Move joints that have passed a span to the next one; a span filled by the new web takes its E."""

@@ -21,18 +21,13 @@ class ChangepointSynchronizer(Filters):
         super().__init__(config, plant, (config.jump_pct, config.drift_pct_per_s, bank.CAPACITY), births)
         self.inputs["parameter_variance_per_s"] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
         self.arrays.stated["cautious"] = 0.01 * config.cautious_pct
-        self._has_nuisances = bool(self.arrays.stated["has_nuisances"])
-
-    @property
-    def is_compiled(self) -> bool:
-        """True if `filters.follow` and `filters.state` are a complete update: started, and without nuisance
-        parameters."""
-        return self.started and not self._has_nuisances
+        #: Else `filters.follow` and `filters.state` are a complete update, once it has `started`.
+        self.has_nuisances = bool(self.arrays.stated["has_nuisances"])
 
     def update(self, sample: SyncSample) -> Estimate:
         """Step every hypothesis by one cycle and add the births of the next."""
         if self.take(filters.FOLLOW, sample):
-            self.act(filters.STATE, self._of_what_is_held() if self._has_nuisances else 0.0)
+            self.act(filters.STATE, self._of_what_is_held() if self.has_nuisances else 0.0)
         return self.estimate
 
     def _of_what_is_held(self) -> float:

@@ -42,17 +42,14 @@ class EkfSynchronizer(Filters):
             walk = 0.01 * (c.drift_pct_per_sqrt_s + opened * c.jump_pct_per_sqrt_s)
             self.inputs["parameter_variance_per_s"] = walk**2
             self.act(filters.STEP)
-            self._keep_beside(opened)
+            before, beside = self._nuisances_before, self._z[kalman.OFFSET :]
+            if opened > 0.0 and before:
+                beside[:] = before[0]
+            else:
+                before.append(beside.copy())
             normalized = self._work.item(kalman.SIZE + 1) / sqrt(self._work.item(kalman.SIZE + 2))
             self._mean += (min(max(normalized, -5.0), 5.0) - self._mean) / _MEMORY
         return self.estimate
-
-    def _keep_beside(self, opened: float) -> None:
-        before, beside = self._nuisances_before, self._z[kalman.OFFSET :]
-        if opened > 0.0 and before:
-            beside[:] = before[0]
-        else:
-            before.append(beside.copy())
 
     @property
     def estimate(self) -> Estimate:
