@@ -196,7 +196,10 @@ class JointInitialization:
         share_sd, _, friction_sd, _ = np.sqrt(np.diag(covariance))[:_OTHERS].tolist()
         strain_error = strain_sd = inf
         if share > 0.0:
-            self._publish_strains(theta, covariance)
+            # The next span is told the estimate of all δ.
+            mean, slopes = theta[self._strains] / share, np.zeros((len(self._strains), self._unknowns))
+            slopes[np.arange(len(mean)), self._strains], slopes[:, _MODULUS] = 1.0 / share, -mean / share
+            self._webs.estimates[self._span] = Strains(mean, slopes @ covariance @ slopes.T)
             # Sensitivities of the strain's error to the unknowns, whose errors correlate.
             slope, at, left = np.zeros(self._unknowns), self._strains, self._left
             slope[at] = self._scale * left / share
@@ -210,11 +213,3 @@ class JointInitialization:
             theta[_FRICTION].item() * self._force_N,
             friction_sd * self._force_N,
         )
-
-    def _publish_strains(self, theta: Array, covariance: Array) -> None:
-        """Publish the estimate of all δ for the next span."""
-        at, share = self._strains, theta[_MODULUS]
-        mean = theta[at] / share
-        slopes = np.zeros((len(at), self._unknowns))
-        slopes[np.arange(len(at)), at], slopes[:, _MODULUS] = 1.0 / share, -mean / share
-        self._webs.estimates[self._span] = Strains(mean, slopes @ covariance @ slopes.T)

@@ -233,7 +233,11 @@ class LineFilter:
         swinging = np.concatenate(
             [_TRANSIENT_SHARE * self._beside_carriages * self._limits_Nm, 0.0 * self._sensors.offsets]
         )
-        rates = np.array([self._rate_per_m(each) for each in self.sensitivities.unknowns])
+        #: Deviation of a reel's radius change per m of web, over the initial radius, beyond the model's.
+        rates = np.zeros(len(self.sensitivities.unknowns))
+        for place, unknown in enumerate(self.sensitivities.unknowns):
+            if unknown.kind is Kind.RADIUS:
+                rates[place] = _THICKNESS_SHARE * abs(self.sensitivities.slope_per_m(unknown.number))
         self._filter = AugmentedFilter(
             believed + moduli, self._is_modulus, rates, self._offsets, swings, swings_on, swinging
         )
@@ -268,11 +272,6 @@ class LineFilter:
         if unknown.kind is Kind.STRAIN:
             return self._model.upstream_strain * strained
         return _RADIUS_SHARE if unknown.kind is Kind.RADIUS else 0.0
-
-    def _rate_per_m(self, unknown: Unknown) -> float:
-        """Deviation of a reel's radius change per m of web, over the initial radius, beyond the model's."""
-        reel = unknown.kind is Kind.RADIUS
-        return _THICKNESS_SHARE * abs(self.sensitivities.slope_per_m(unknown.number)) if reel else 0.0
 
     def _moduli_apart(self, common: float, apart: float) -> Vector:
         """Covariance of E of the sections: deviations common to the web, and of each by itself."""
@@ -389,11 +388,12 @@ class LineFilter:
         innovations, slopes = self._sum / count, self._slopes / count
         if learns is None and self._travel_m < self._moduli_from_m:
             learns = self._learns_no_modulus
-        variances, jumps = self._variances(count), (self._jumps, self.sensitivities.web_changed())
-        variances[: len(self._axes)] += self._inertial_variances(lasted_s)
+        variances, jumps = self._variances(count, lasted_s), (self._jumps, self.sensitivities.web_changed())
         changes = self._filter.update(innovations, slopes, variances, jumps, learns)
         if self._filter.has_begun_to_change:
-            self._answer_from_now(count // 2)
+            # The drives' response restarts from a change of the web in the middle of the window.
+            web = [i for i, each in enumerate(unknowns) if each.kind in (Kind.MODULUS, Kind.STRAIN)]
+            self._response.answer_from(count // 2, web, self._loads)
             self._undecided_from_m = inf
             return False
         if learns is None:
@@ -578,11 +578,6 @@ class LineFilter:
         self._corrected = self._corrected + moduli
         self._apply(back - moduli)
 
-    def _answer_from_now(self, cycles: int) -> None:
-        """Restart the drives' response from a change of the web so many cycles ago."""
-        web = [i for i, each in enumerate(self.sensitivities.unknowns) if each.kind in (Kind.MODULUS, Kind.STRAIN)]
-        self._response.answer_from(cycles, web, self._loads)
-
     def _bounded(self, unknown: Unknown, change: float) -> float:
         if unknown.kind is Kind.MODULUS:
             at = self.sensitivities.modulus_factor(unknown.number) - 1.0
@@ -613,20 +608,17 @@ class LineFilter:
                 growth[at, at] = (per_sqrt_s * self._model.upstream_strain) ** 2 * time_s
         return self._left, growth, travel_m
 
-    def _variances(self, count: int) -> Vector:
-        noise = self._variances_Nm2 / count + (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
-        swing = exp(-self._time_s / _SWING_S)
-        noise += (_SWING_SHARE * np.array(self._limits_Nm) * swing) ** 2
-        sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
-        return np.concatenate([noise, sensors])
-
-    def _inertial_variances(self, lasted_s: float) -> Vector:
-        """Inertial variances of torques (m,) in a window of this duration."""
+    def _variances(self, count: int, lasted_s: float) -> Vector:
+        """Variances of a window of so many cycles: noise of torques, and by their inertia, then of sensors."""
+        limits_Nm, swing = np.array(self._limits_Nm), exp(-self._time_s / _SWING_S)
+        noise = self._variances_Nm2 / count + (_LEAST_NOISE_SHARE * limits_Nm) ** 2
+        noise += (_SWING_SHARE * limits_Nm * swing) ** 2
         speeds_m_s = self.sensitivities.line.v_m_s[self._rows]
         before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
         rates = self._rad_per_m[self._rows] * (speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
-        variances: Vector = (_INERTIA_SHARE * self._inertia_kg_m2[self._rows] * rates) ** 2
-        return variances
+        noise += (_INERTIA_SHARE * self._inertia_kg_m2[self._rows] * rates) ** 2
+        sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
+        return np.concatenate([noise, sensors])
 
     # -- estimates ---------------------------------------------------------------------------------------
 
