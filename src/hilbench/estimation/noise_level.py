@@ -79,10 +79,6 @@ class NoiseLevel:
         self.state[_VARIANCE] = self.state[_EXPECTED] = expected**2
         self.state[_SHARE], self.state[_FLOOR] = 1.0 / memory, floor
 
-    def interrupt(self) -> None:
-        """Form no difference across a gap before the next sample."""
-        self.state[_APART] = _DIFFERENCES
-
     def update(self, value: float) -> None:
         """Take one sample; non-finite ones are skipped."""
         _take(self.state, value)

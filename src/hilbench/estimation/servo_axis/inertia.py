@@ -44,15 +44,13 @@ _LEFT_OUT = 0.05
 _CAUTION = 0.3
 #: Number of the cycle after which the bank's next is that of a large jump.
 _BEFORE_LARGE_JUMP = 3.0
+#: Deviation of β at the start, growth of its variance without usable sample; lasting error of the inertia; share from
+#: which on it is separable; rates of births; the model's values of the nuisance parameters.
 FIGURES: Final = np.dtype(
     [
-        ("initial_deviation", "f8"),  # of β, as the next
-        ("hold_growth_per_s", "f8"),  # growth of its variance without usable sample
-        ("unmodelled", "f8"),  # lasting error of the inertia
-        ("separable", "f8"),  # share from which on it is separable
-        ("jumps_per_s", "f8"),
-        ("drift_onsets_per_s", "f8"),
-        ("of_model", "f8", (kalman.TERMS,)),  # the model's values of the nuisance parameters
+        *record_type("initial_deviation", "hold_growth_per_s", "unmodelled", "separable").descr,
+        *record_type("jumps_per_s", "drift_onsets_per_s").descr,
+        ("of_model", "f8", (kalman.TERMS,)),
     ]
 )
 #: Stated values: inertia and its deviation, separable flag; viscous and dry friction, including the model's, and their

@@ -248,8 +248,8 @@ def _update(v: SpanEstimatorArrays) -> None:
     if t.rebased_Pa != 0.0:
         filters.rebase(v.filters, t.rebased_Pa)
     t.web_per_Pa = t.used_per_Pa
-    used = (t.used_m, t.corrected_N, t.used_per_Pa, t.used_m_s)
-    if filters.follow(v.filters, t.cycle_s, t.torque_Nm, used[0], used[1], used[2], used[3]):
+    sample = t.cycle_s, t.torque_Nm, t.used_m, t.corrected_N, t.used_per_Pa, t.used_m_s
+    if filters.follow(v.filters, sample):
         filters.state(v.filters, 0.0)
     modulus_Pa, deviation_Pa = filters.stated(v.filters)
     _state_modulus(v, modulus_Pa, deviation_Pa)

@@ -133,8 +133,8 @@ class UnmodelledEffects:
         cycle_s: float,
         priors: Sequence[Prior] = (),
     ) -> None:
-        self.state = np.zeros(FILTER.itemsize // 8)  #: a `FILTER`, for compiled callers
-        f, s = filters, self._record
+        self.state = np.zeros(1, FILTER)  #: for compiled callers
+        f, s = filters, self.state[0]
         s["force_per_torque_per_m"] = balance.force_per_torque_per_m
         deviations = prior_deviations(config, model, balance.force_per_torque_per_m)
         self._radius_m = model.radius_m(2)
@@ -169,17 +169,12 @@ class UnmodelledEffects:
             evidence["places"][place], evidence["groups"][place] = at, number
         self._set_cycle(cycle_s)
 
-    @property
-    def _record(self) -> np.void:
-        found: np.void = self.state.view(FILTER)[0]
-        return found
-
     def _set_cycle(self, cycle_s: float) -> None:
-        self._record["cycle_s"], self._record["block"] = cycle_s, max(2, round(BLOCK_S / cycle_s))
+        self.state[0]["cycle_s"], self.state[0]["block"] = cycle_s, max(2, round(BLOCK_S / cycle_s))
 
     def interrupt(self) -> None:
         """Discard the current block: a cycle is missing or unusable."""
-        _interrupt(self.state)
+        _interrupt(self.state.view(np.float64))
 
     def set_cycle_time(self, cycle_s: float) -> None:
         """Set the cycle time; estimates are kept."""
@@ -189,16 +184,16 @@ class UnmodelledEffects:
     def hold(self, duration_s: float) -> None:
         """Skip a time without measurement: the variance of E grows, unmodelled effects stay."""
         self.interrupt()
-        self._record["covariance"][filters.E, filters.E] += _HOLD_WALK**2 * duration_s
+        self.state[0]["covariance"][filters.E, filters.E] += _HOLD_WALK**2 * duration_s
 
     def release(self) -> None:
         """Widen E after a change of the web."""
         self.interrupt()
-        self._record["covariance"][filters.E, filters.E] += _INITIAL_E**2
+        self.state[0]["covariance"][filters.E, filters.E] += _INITIAL_E**2
 
     def know(self, modulus_Pa: float, deviation_Pa: float, friction_N: float, friction_deviation_N: float) -> None:
         """Set E, and dry friction beyond the model's, from another source."""
-        s = self._record
+        s = self.state[0]
         reference_Pa = s["reference_Pa"]
         for at, value, deviation in (
             (filters.E, modulus_Pa / reference_Pa, deviation_Pa / reference_Pa),
@@ -212,7 +207,7 @@ class UnmodelledEffects:
         """Nuisance parameters estimated beyond the model; of the eccentricity (of roller 2) the amplitude. The mass is
         the one that the measured torque accelerates: its error and that of the torque's scale are not separable, and
         stated as one."""
-        s = self._record
+        s = self.state[0]
         mean, deviations = s["base"] + s["x"], np.sqrt(np.diag(s["covariance"]))
         priors = np.sqrt(s["prior"])
         rows = []

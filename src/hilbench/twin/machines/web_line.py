@@ -24,10 +24,11 @@ from hilbench.plant.sample_coherence import SampleCoherence
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_travel_m
+from hilbench.topology.blocks import TwinConfig
 from hilbench.topology.signals import Shape
 from hilbench.twin.estimated_errors import EstimatedModelError
 from hilbench.twin.machines import web_line_cycle
-from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured
+from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured, TwinMachine
 from hilbench.twin.machines.web_line_cycle import LineCycle
 from hilbench.twin.machines.web_line_errors import as_effects
 from hilbench.twin.machines.web_other_spans import OtherSpans
@@ -39,6 +40,17 @@ _LARGEST_STEP = 0.005
 #: SYNC in a ramp it is below its mean by half of that share. Between two tests: at 0.13 (the demonstrator at 4 ms) the
 #: correction costs E 1 % for a while where the period changes, at 0.73 a light web is broken without it.
 _RIPPLES_FROM = 0.2
+
+
+def twin(
+    model: ModelParameters, config: TwinConfig, shape: Shape, cycle_s: float, boundary_inputs: BoundaryInputs
+) -> TwinMachine:
+    """Twin of a line; modules of lines with stations are imported for these alone."""
+    if model.stations is None:
+        return WebLineTwin(model, config, cycle_s, boundary_inputs)
+    from hilbench.twin.machines.web_line_with_stations import LineWithStationsTwin
+
+    return LineWithStationsTwin(model, config, shape, cycle_s, boundary_inputs)
 
 
 class WebLineTwin:

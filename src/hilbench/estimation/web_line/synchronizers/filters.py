@@ -65,17 +65,10 @@ class FilterArrays(NamedTuple):
 
 
 @compiled
-def fill(
-    f: FilterArrays,
-    cycle_s: float,
-    torque_Nm: float,
-    x2_m: float,
-    force_N: float,
-    web_per_Pa: float,
-    velocity_m_s: float,
-) -> bool:
+def _fill(f: FilterArrays, sample: tuple[float, ...]) -> bool:
     """Fill the inputs by the balance of this cycle: means over the cycle, and their noise; False for the first of a
-    row, which has no previous cycle."""
+    row, which has no previous cycle. `sample`: cycle time, torque, position of roller 2, force, h = F/E, speed."""
+    cycle_s, torque_Nm, x2_m, force_N, web_per_Pa, velocity_m_s = sample
     u, s = f.inputs, f.cycle
     noise_level.take(f.torque, torque_Nm)
     noise_level.take(f.position, x2_m)
@@ -112,17 +105,10 @@ def fill(
 
 
 @compiled
-def follow(
-    f: FilterArrays,
-    cycle_s: float,
-    torque_Nm: float,
-    x2_m: float,
-    force_N: float,
-    web_per_Pa: float,
-    velocity_m_s: float,
-) -> bool:
-    """Step all hypotheses by one cycle and add the births of the next; False for the first of a row of cycles."""
-    if not fill(f, cycle_s, torque_Nm, x2_m, force_N, web_per_Pa, velocity_m_s):
+def follow(f: FilterArrays, sample: tuple[float, ...]) -> bool:
+    """Step all hypotheses by one cycle (`_fill`) and add the births of the next; False for the first of a row of
+    cycles."""
+    if not _fill(f, sample):
         return False
     b = f.bank
     z, p, out, shares = b.z, b.p, b.out, b.shares
@@ -207,11 +193,11 @@ def _act(what: int, values: tuple[float, ...], table: Places) -> tuple[bool, flo
         bank.begin(f.bank)
         bank.set_priors(f.bank, values[2], values[3], values[4])
     elif what == FILL:
-        done = fill(f, values[0], values[1], values[2], values[3], values[4], values[5])
+        done = _fill(f, values)
     elif what == STEP:
         kalman.step(f.bank, f.inputs)
     elif what == FOLLOW:
-        done = follow(f, values[0], values[1], values[2], values[3], values[4], values[5])
+        done = follow(f, values)
     elif what == STATE:
         state(f, values[0])
     elif what == REBASE:
