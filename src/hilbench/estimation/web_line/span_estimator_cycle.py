@@ -128,7 +128,7 @@ def _compare(v: SpanEstimatorArrays, measured: tuple[float, ...]) -> int:
         strain_next = laws.downstream_strain(v.balance.p, F_next_N)
     duration_s = t.cycle_s + t.missed_s
     around = strain_prev, F_next_N, behind_N, strain_next, creep_ratio_prev
-    balance.momentum_balance(v.balance, x1_m, x2_m, torque_Nm, *around, duration_s)
+    balance.momentum_balance(v.balance, x1_m, x2_m, torque_Nm, around, duration_s)
     t.creep_ratio = creep_per_N * (balance.tension_N(v.balance) - behind_N) if creep_per_N != 0.0 else 0.0
     if not isnan(centre_m):
         now.x2_m = centre_m
