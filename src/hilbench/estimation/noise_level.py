@@ -84,14 +84,9 @@ class NoiseLevel:
         _take(self.state, value)
 
     @property
-    def known(self) -> bool:
-        """True if the variance is measured, and not the expected one."""
-        return self.state.item(_COUNT) > _SETTLE
-
-    @property
     def variance(self) -> float:
         """Variance of the noise, unit of the signal squared."""
-        return self.state.item(_VARIANCE) if self.known else self.state.item(_EXPECTED)
+        return self.state.item(_VARIANCE if self.state.item(_COUNT) > _SETTLE else _EXPECTED)
 
     @property
     def deviation(self) -> float:

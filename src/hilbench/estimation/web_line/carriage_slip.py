@@ -55,8 +55,6 @@ class CarriageSlip:
         self._kept = deque(each._replace(lost_m=self._lost_m) for each in self._kept)
 
     def _judge(self) -> None:
-        if not self._kept:
-            return
         if self.since_s == inf:
             if any(self._is_lost(each, _SLIPS, self._unsure_m) for each in self._kept):
                 self.since_s, self._judged_m = self._kept[0].time_s, self._travel_m

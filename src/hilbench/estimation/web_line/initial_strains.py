@@ -40,11 +40,6 @@ class Strains:
     mean: Array
     covariance: Array
 
-    def of_others(self, span: int) -> Strains:
-        """Estimate without that of a span, from 0."""
-        others = np.delete(np.arange(len(self.mean)), span)
-        return Strains(self.mean[others], self.covariance[np.ix_(others, others)])
-
 
 class InitialStrains:
     """Shares of unknown strains in a line of spans of these lengths (K,), counted from 0; `creep_per_N` (K,): over the

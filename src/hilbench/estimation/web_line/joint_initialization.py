@@ -174,11 +174,14 @@ class JointInitialization:
 
     def _of_others(self) -> Array:
         """Information (U, U) on the other strains: E·δ less E times the estimate of δ is 0."""
-        known = self._webs.estimate_before(self._span).of_others(self._span)
+        known, at = self._webs.estimate_before(self._span), self._others
         share = 1.0 if self.found is None else self.found.youngs_modulus_Pa / self._plant.youngs_modulus_Pa
-        conditions = np.zeros((len(self._others), self._unknowns))
-        conditions[:, _MODULUS], conditions[:, _OTHERS:] = -known.mean, np.eye(len(self._others))
-        return np.asarray(conditions.T @ np.linalg.solve(known.covariance, conditions)) / max(share, _LEAST_SHARE) ** 2
+        conditions = np.zeros((len(at), self._unknowns))
+        conditions[:, _MODULUS], conditions[:, _OTHERS:] = -known.mean[at], np.eye(len(at))
+        return (
+            np.asarray(conditions.T @ np.linalg.solve(known.covariance[np.ix_(at, at)], conditions))
+            / max(share, _LEAST_SHARE) ** 2
+        )
 
     def _solved(self, gain: float) -> InitialWeb:
         """Solution of the least squares; noise after the filter is scaled to that before it."""

@@ -162,38 +162,30 @@ class ProbingStep:
 
     def _known(self) -> KnownTension:
         blocks = np.array(self._blocks)
-        measured = _Slope.of(blocks[:, 0], blocks[:, 1])
-        best = measured
+        slope_Pa, deviation_Pa = _slope(blocks[:, 0], blocks[:, 1])
         if self._loop is not None:
-            by_loop = _Slope.of(blocks[:, 0], blocks[:, 1] + blocks[:, 2])
-            deviation_Pa = hypot(by_loop.deviation_Pa, self._loop.deviation * by_loop.slope_Pa)
-            apart_Pa = abs(by_loop.slope_Pa - measured.slope_Pa)
-            if apart_Pa <= _AGREE * hypot(deviation_Pa, measured.deviation_Pa) and deviation_Pa < measured.deviation_Pa:
-                best = _Slope(by_loop.slope_Pa, deviation_Pa)
+            by_loop_Pa, of_loop_Pa = _slope(blocks[:, 0], blocks[:, 1] + blocks[:, 2])
+            of_loop_Pa = hypot(of_loop_Pa, self._loop.deviation * by_loop_Pa)
+            if abs(by_loop_Pa - slope_Pa) <= _AGREE * hypot(of_loop_Pa, deviation_Pa) and of_loop_Pa < deviation_Pa:
+                slope_Pa, deviation_Pa = by_loop_Pa, of_loop_Pa
         # The constant is that of the measured torque: the loop has only the changes.
-        constant_N = float(np.mean(blocks[:, 1] - best.slope_Pa * blocks[:, 0]))
-        return KnownTension(best.slope_Pa, best.deviation_Pa, constant_N)
+        constant_N = float(np.mean(blocks[:, 1] - slope_Pa * blocks[:, 0]))
+        return KnownTension(slope_Pa, deviation_Pa, constant_N)
 
 
-@dataclass(frozen=True, slots=True)
-class _Slope:
-    slope_Pa: float
-    deviation_Pa: float
-
-    @classmethod
-    def of(cls, web_per_Pa: np.ndarray, force_N: np.ndarray) -> _Slope:
-        """Slope of the force (n,) against h (n,), after a constant and a trend."""
-        count = len(force_N)
-        trend = np.column_stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
-        # Constant and trend are projected out of both; the rest is a line through the origin.
-        both = np.column_stack([web_per_Pa, force_N])
-        both = both - trend @ np.linalg.lstsq(trend, both, rcond=None)[0]
-        size = float(both[:, 0] @ both[:, 0])
-        if size == 0.0:
-            return cls(0.0, np.inf)
-        slope = float(both[:, 0] @ both[:, 1]) / size
-        left = both[:, 1] - slope * both[:, 0]
-        return cls(slope, sqrt(float(left @ left) / (count - 3) / size))
+def _slope(web_per_Pa: np.ndarray, force_N: np.ndarray) -> tuple[float, float]:
+    """Slope of the force (n,) against h (n,), after a constant and a trend, and its deviation."""
+    count = len(force_N)
+    trend = np.column_stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
+    # Constant and trend are projected out of both; the rest is a line through the origin.
+    both = np.column_stack([web_per_Pa, force_N])
+    both = both - trend @ np.linalg.lstsq(trend, both, rcond=None)[0]
+    size = float(both[:, 0] @ both[:, 0])
+    if size == 0.0:
+        return 0.0, np.inf
+    slope = float(both[:, 0] @ both[:, 1]) / size
+    left = both[:, 1] - slope * both[:, 0]
+    return slope, sqrt(float(left @ left) / (count - 3) / size)
 
 
 def new_probing_step(

@@ -248,7 +248,7 @@ class SpanEstimator:
         """Switch to another method (None: the configured one) from the present E, bumpless."""
         config, known = synchronizer or self.config.synchronizer, self.estimate
         if not isinstance(config, PidConfig):
-            share_pct = 100.0 * self._own_deviation_Pa / known.youngs_modulus_Pa
+            share_pct = 100.0 * float(self._t["own_deviation_Pa"]) / known.youngs_modulus_Pa
             known_pct = min(max(share_pct, _LEAST_PRIOR_PCT), config.initial_deviation_pct)
             config = config.model_copy(update={"initial_deviation_pct": known_pct})
         # A black box goes on with the model's own E.
@@ -296,10 +296,6 @@ class SpanEstimator:
         if self._nuisances is None and isinstance(self._synchronizer, ChangepointSynchronizer):
             return self._synchronizer.separable
         return all(nuisance.separable for nuisance in self.estimate.nuisances)
-
-    @property
-    def _own_deviation_Pa(self) -> float:
-        return float(self._t["own_deviation_Pa"])
 
     @property
     def torque_shift_Nm(self) -> float:
@@ -468,7 +464,7 @@ class SpanEstimator:
         """State E as assumed, with the deviation of the search, until the web is known."""
         assert self._search is not None, "it is looked for"
         looked_for_Pa = self._search.deviation_Pa(float(self._t["modulus_Pa"]))
-        self._state(replace(self.estimate, deviation_Pa=max(self._own_deviation_Pa, looked_for_Pa)))
+        self._state(replace(self.estimate, deviation_Pa=max(float(self._t["own_deviation_Pa"]), looked_for_Pa)))
 
     def _look_at_found_web(self, strain_prev: float) -> None:
         """Search E and strain of a web that was first seen running; the method starts once both, and the strain of the
@@ -530,7 +526,7 @@ class SpanEstimator:
         # The web has not changed, only its estimate.
         self._forget(cycle.SUSPEND)
         t["unmodelled_N"] = known.deviation_Pa * now.web_per_Pa
-        self._state(Estimate(known.youngs_modulus_Pa, self._own_deviation_Pa))
+        self._state(Estimate(known.youngs_modulus_Pa, float(self._t["own_deviation_Pa"])))
         change.believe(known.youngs_modulus_Pa)
 
     def upstream_strain(self, stated_strain: float) -> float:

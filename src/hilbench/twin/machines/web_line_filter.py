@@ -214,13 +214,12 @@ class LineFilter:
         self._model_share = hypot(_MODEL_SHARE, _OF_PRODUCT if unknown_at_rest else 0.0)
         identifies = not in_motion or not self._model.carriages
         self._identifies_moduli = identifies and any(each.kind is Kind.MODULUS for each in self.sensitivities.unknowns)
-        nothing = np.zeros_like(believed)
         common = sqrt(_MODULUS_SHARE**2 - _SECTION_SHARE**2)
-        moduli = self._moduli_apart(common, _SECTION_SHARE) if self._identifies_moduli else nothing
-        drifts = self._moduli_apart(common, _DRIFT_APART * _SECTION_SHARE) if self._identifies_moduli else nothing
+        moduli = self._moduli_apart(common, _SECTION_SHARE)
+        drifts = self._moduli_apart(common, _DRIFT_APART * _SECTION_SHARE)
         #: Covariance (p, p) of sudden changes of E, and of drift in a shift.
         at = np.ix_(self._is_modulus, self._is_modulus)
-        jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE) if self._identifies_moduli else nothing
+        jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE)
         self._jumps, self._drifts = jumps[at], drifts[at]
         seen_in_tension = np.concatenate([np.ones(len(self._axes), bool), self._sensors.tensions_N > 0.0])
         disturbed = np.concatenate([self._beside_carriages, np.zeros(len(self._sensors.tensions_N), bool)])
@@ -274,8 +273,9 @@ class LineFilter:
         return _RADIUS_SHARE if unknown.kind is Kind.RADIUS else 0.0
 
     def _moduli_apart(self, common: float, apart: float) -> Vector:
-        """Covariance of E of the sections: deviations common to the web, and of each by itself."""
-        moduli = self._is_modulus.astype(float)
+        """Covariance of E of the sections: deviations common to the web, and of each by itself; 0 if E is not
+        identified."""
+        moduli = self._is_modulus.astype(float) * self._identifies_moduli
         return common**2 * np.outer(moduli, moduli) + apart**2 * np.diag(moduli)
 
     def _shows_in_torques(self, unknown: Unknown) -> bool:
