@@ -81,10 +81,6 @@ class Rollers:
         """Take the next positions as the first."""
         self.arrays.started[0] = 0.0
 
-    def masses_behind_kg(self, axis: int) -> list[float]:
-        """Masses at the web of the rollers after that of `axis`, from 2."""
-        return [float(mass_kg) for mass_kg in self.arrays.masses_kg[axis - 1 :]]
-
 
 def two_rollers(model: ModelParameters, span: int, masses_behind_kg: Sequence[float] = ()) -> ModelParameters:
     """Rollers `span` and `span + 1` of a line and the span between them, as a model of its own.

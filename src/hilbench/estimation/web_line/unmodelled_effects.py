@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import VECTOR, Record, entry_point, viewed
+from hilbench.compiled import VECTOR, entry_point, viewed
 from hilbench.estimation.assumptions import POSITION_FLOOR_M, POSITION_NOISE_M, SEPARABLE, TORQUE_FLOOR_NM
 from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
@@ -34,11 +34,6 @@ _HOLD_WALK: Final = 0.02
 #: Force that keeps a roller at rest, and friction at the onset, over the dry friction of a turning one: anything
 #: between both signs.
 _STUCK: Final = 0.6
-#: Random walks, as a share of the prior deviation, and their time (s): friction with the temperature of bearings and
-#: seals, an offset with that of a drive over a shift, the rest with the model's simplifications.
-_WARMING: Final = (0.15, 1200.0)
-_SHIFT: Final = (0.15, 28800.0)
-_SIMPLIFIED: Final = (0.1, 3600.0)
 #: Factor on the deviation of accelerating mass: the errors of a ramp's blocks are alike.
 _ALIKE_IN_A_RAMP: Final = 1.5
 #: Noise of the torque until it is measured: the method's default, N·m.
@@ -55,6 +50,13 @@ _STATES: Final = {
 _NAMED: Final = ("torque_offset_Nm", "dry_friction_N", "viscous_friction_N_s_per_m", "creep_per_N")
 _FORCES: Final = ("torque_offset_Nm", "dry_friction_N", "viscous_friction_N_s_per_m")
 _TURNING: Final = (filters.UNBALANCE_COS, filters.UNBALANCE_SIN, filters.COS2, filters.SIN2, filters.COS1, filters.SIN1)
+#: Random walks, as a share of the prior deviation, and their time (s), of these states: an offset with that of a drive
+#: over a shift, friction with the temperature of bearings and seals, the rest with the model's simplifications.
+_WALKS: Final = {
+    (0.15, 28800.0): (filters.OFFSET,),
+    (0.15, 1200.0): (filters.DRY, filters.STRIBECK, filters.VISCOUS),
+    (0.1, 3600.0): (filters.SCALE, filters.MASS, filters.CREEP, *_TURNING),
+}
 
 
 def prior_deviations(config: ModelErrorsConfig, model: ModelParameters, force_per_torque_per_m: float) -> Array:
@@ -104,17 +106,6 @@ def priors_behind(priors: Sequence[Prior], span: int, model: ModelParameters) ->
     return found
 
 
-def _wander(f: Record) -> None:
-    """Set the random walks of the states."""
-    for states, (share, time_s) in (
-        ((filters.OFFSET,), _SHIFT),
-        ((filters.DRY, filters.STRIBECK, filters.VISCOUS), _WARMING),
-        ((filters.SCALE, filters.MASS, filters.CREEP, *_TURNING), _SIMPLIFIED),
-    ):
-        for state in states:
-            f["wander"][state], f["wander_s"][state] = share**2, time_s
-
-
 @entry_point(VECTOR)
 def _interrupt(state: Array) -> None:
     filters.interrupt(viewed(state, FILTER)[0])
@@ -143,7 +134,8 @@ class UnmodelledEffects:
         s["radius_1_m"], s["radius_2_m"] = model.radius_m(1), model.radius_m(2)
         s["tension_N"] = max(model.boundary.upstream_tension_N, model.boundary.downstream_tension_N)
         s["standstill_m_s"] = 5.0 * FRICTION_WIDTH_M_S
-        _wander(s)
+        for walk, states in _WALKS.items():
+            s["wander"][list(states)], s["wander_s"][list(states)] = walk[0] ** 2, walk[1]
         for prior in priors:
             at = _STATES[prior.quantity]
             unit = balance.force_per_torque_per_m if at == f.OFFSET else 1.0

@@ -243,18 +243,6 @@ def _use_modulus(f: Record, modulus: float) -> None:
 
 
 @compiled
-def _transport(f: Record, speed_m_s: float, uncrept_N: float, next_N: float, phi_1: float, phi_2: float) -> None:
-    """Mass transport of creep and eccentricity strains through the span, per unit of each, for a cycle. `uncrept_N`:
-    tension by the encoders' strain."""
-    share = min(abs(speed_m_s) * f.cycle_s / f.span_m, 1.0)
-    f.built_up_N += min(share / _left(f), 1.0) * (uncrept_N - next_N - f.built_up_N)
-    f.wobble[0] += share * (cos(phi_2) - f.wobble[0])
-    f.wobble[1] += share * (sin(phi_2) - f.wobble[1])
-    f.wobble[2] += share * (cos(phi_1) - f.wobble[2])
-    f.wobble[3] += share * (sin(phi_1) - f.wobble[3])
-
-
-@compiled
 def force_of(a: Array, theta: Array, modulus: float, turning: bool) -> float:
     """Force of unmodelled effects: theta (STATES,) by regressors a (STATES,), at E over its reference, N. With or
     without rotating terms."""
@@ -548,7 +536,13 @@ def take(
     ripple_N = periodic_disturbance.ripple_N(f.orders, motor_angle)
     f.y_N += force_N - ripple_N
     f.count += 1.0
-    _transport(f, velocity_m_s, web_N * f.modulus, next_N, phi_1, phi_2)
+    # Mass transport of creep and eccentricity strains through the span, per unit of each.
+    share = min(abs(velocity_m_s) * dt / f.span_m, 1.0)
+    f.built_up_N += min(share / _left(f), 1.0) * (web_N * f.modulus - next_N - f.built_up_N)
+    f.wobble[0] += share * (cos(phi_2) - f.wobble[0])
+    f.wobble[1] += share * (sin(phi_2) - f.wobble[1])
+    f.wobble[2] += share * (cos(phi_1) - f.wobble[2])
+    f.wobble[3] += share * (sin(phi_1) - f.wobble[3])
     if ended:
         _state_spread(f, tension_N)
         _look_at_stated(f, web_N)

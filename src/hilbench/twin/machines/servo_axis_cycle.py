@@ -34,7 +34,6 @@ from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.shaft import ServoAxis
 from hilbench.plant.web_line import kernel, laws, rig_cycle
 from hilbench.plant.web_line import layout as line
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.twin.machines.machine import LOOK, WENT_ON, MachineVectors
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED
@@ -79,13 +78,6 @@ class _ShaftArrays(NamedTuple):
     published: Annotated[Any, _PUBLISHED]
     plausibility: Annotated[Any, PLAUSIBILITY]
     estimator: InertiaArrays
-
-
-@compiled
-def _ripple_Nm(outputs: Record, out: Vector, simulated_Nm: float) -> float:
-    """Excess of the simulated torque's mean over that of both ends of the cycle."""
-    before_Nm, outputs.before_Nm = outputs.before_Nm, simulated_Nm
-    return 0.0 if isnan(before_Nm) else out[_MEAN] - 0.5 * (before_Nm + simulated_Nm)
 
 
 @compiled
@@ -143,7 +135,10 @@ def _run(stage: int, table: Places) -> int:
         outputs.before_Nm = nan
         inertia.hold(a.estimator, a.figures.cycle_s, False)
     else:
-        inertia.update(a.estimator, position_rad, torque_Nm, _ripple_Nm(outputs, a.plant.out, a.shown[_TORQUE]))
+        # Excess of the simulated torque's mean over that of both ends of the cycle.
+        before_Nm, outputs.before_Nm = outputs.before_Nm, a.shown[_TORQUE]
+        ripple_Nm = 0.0 if isnan(before_Nm) else a.plant.out[_MEAN] - 0.5 * (before_Nm + a.shown[_TORQUE])
+        inertia.update(a.estimator, position_rad, torque_Nm, ripple_Nm)
         _simulate(a, position_rad)
     rig_cycle.step_by(int(a.figures.samples), table)
     _publish(a)

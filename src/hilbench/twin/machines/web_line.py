@@ -79,7 +79,7 @@ class WebLineTwin:
             along = [other for other in spans if other != span and shape.shows(other) == span]
             method = _over_rollers(method, model.axis_count - span)
             of_span = config.of_span(method, priors_behind(config.priors, span, model))
-            alone = two_rollers(model, span, self._rollers.masses_behind_kg(span + 1))
+            alone = two_rollers(model, span, self._rollers.arrays.masses_kg[span:].tolist())
             self._estimated[span] = SpanEstimator(alone, of_span, self.plant, cycle_s, span, along)
         self._all = tuple(self._estimated.values())
         first, joined = self._all[0].span, list[SpanEstimator]()
@@ -175,7 +175,7 @@ class WebLineTwin:
         """Reset to the initially assumed E, at rest."""
         for each in self._all:
             each.reset()
-        self._cycle.forget_residuals()
+        self._cycle.spans["residual_Nm"] = 0.0
         self._start_anew()
         at_rest = [0.0] * len(self.ports)
         self.plant.set_state(_states(self._boundary_inputs("strain_prev"), at_rest, at_rest, at_rest))
@@ -321,7 +321,7 @@ class WebLineTwin:
             values.append(tension_N)
             each = self._estimated.get(span)
             if each is not None:
-                residual_Nm = self._cycle.residual_Nm(self._all.index(each))
+                residual_Nm = float(self._cycle.spans["residual_Nm"][self._all.index(each)])
                 modulus_Pa, deviation_Pa = each.modulus_and_deviation_Pa
                 # The effective E is stated, as of a measured web.
                 factor = line.elasticity_factor(span) * float(each.state["series_factor"])

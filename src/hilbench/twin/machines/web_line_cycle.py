@@ -18,7 +18,6 @@ from hilbench.compiled import (
     COUNT,
     TABLE,
     Reals,
-    Record,
     Wholes,
     arrays_in,
     compiled,
@@ -202,55 +201,32 @@ def _show(a: _LineArrays) -> None:
 
 
 @compiled
-def _go_on(a: _LineArrays, strain_prev: float, F_next_N: float) -> None:
-    """Step the line."""
-    p, s, u, work, out = a.line
-    u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = strain_prev + a.figures.input_strain, F_next_N
-    samples = int(a.figures.samples)
-    rig_cycle.step(p, s, u, work, out, a.motors, a.asked, samples, a.sensors, a.silence, a.shown)
-
-
-@compiled
-def _publish(a: _LineArrays, t: Record, k: int) -> None:
-    """Compiled `WebLineTwin.published` of a span, from 0, of a line without effects on E."""
-    at, values, factor = a.published[k], a.values, t.series_factor
-    values[at.F_sim_N] = a.line.out[3 * int(a.line.p[lay.W_MOTORS]) + k]
-    values[at.E_sim_Pa] = factor * t.modulus_Pa
-    values[at.E_deviation_Pa] = factor * t.deviation_Pa
-    values[at.torque_sim_Nm] = a.shown[rig_cycle.SHOWN * (k + 1) + _TORQUE]
-    values[at.torque_residual_Nm] = a.spans[k].residual_Nm
-
-
-@compiled
-def _status(a: _LineArrays, table: Places) -> int:
-    """Compiled `TwinApplication._status` of a released machine with its configured model."""
-    synchronized, status = SYNCHRONIZED, RUNNING
-    for k in range(len(a.spans)):
-        v = _of_span(table, k)
-        t = v.t
-        if not cycle.is_synchronized(t, a.spans[k].known_pct):
+def _publish(a: _LineArrays, table: Places, compared: bool) -> tuple[int, bool]:
+    """Compiled `WebLineTwin.published`, of a line without effects on E, and `TwinApplication._status`, of a released
+    machine with its configured model; also true if the last torque report is still valid, where it was `compared`."""
+    spans, values, synchronized, status, valid = a.spans, a.values, SYNCHRONIZED, RUNNING, True
+    for k in range(len(spans)):
+        v, at = _of_span(table, k), a.published[k]
+        t, factor = v.t, v.t.series_factor
+        values[at.F_sim_N] = a.line.out[3 * int(a.line.p[lay.W_MOTORS]) + k]
+        values[at.E_sim_Pa] = factor * t.modulus_Pa
+        values[at.E_deviation_Pa] = factor * t.deviation_Pa
+        values[at.torque_sim_Nm] = a.shown[rig_cycle.SHOWN * (k + 1) + _TORQUE]
+        values[at.torque_residual_Nm] = spans[k].residual_Nm
+        if not cycle.is_synchronized(t, spans[k].known_pct):
             synchronized = 0
         if t.problem != 0.0:
             status |= HOLDING
         if t.refused != 0.0:
             status |= TRANSFER_REFUSED
-        separable = filters.separable(v.filters) if t.bank != 0.0 else a.spans[k].separable != 0.0
+        separable = filters.separable(v.filters) if t.bank != 0.0 else spans[k].separable != 0.0
         if not separable:
             status |= NOT_SEPARABLE
-    return status | synchronized
-
-
-@compiled
-def _is_published(a: _LineArrays, table: Places) -> bool:
-    """True if the last torque report is still valid."""
-    spans, boundary = a.spans, True
-    for k in range(len(spans)):
-        v = _of_span(table, k)
-        shift_Nm = v.t.shift_Nm
-        undecided = 1.0 if torque_shift.undecided(v.shift) else 0.0
-        boundary = boundary and spans[k].shift_Nm == shift_Nm and spans[k].undecided == undecided
-        spans[k].shift_Nm, spans[k].undecided = shift_Nm, undecided
-    return boundary
+        if compared:
+            undecided = 1.0 if torque_shift.undecided(v.shift) else 0.0
+            valid = valid and spans[k].shift_Nm == t.shift_Nm and spans[k].undecided == undecided
+            spans[k].shift_Nm, spans[k].undecided = t.shift_Nm, undecided
+    return status | synchronized, valid
 
 
 @entry_point(COUNT, TABLE)
@@ -271,15 +247,16 @@ def _run(stage: int, table: Places) -> int:
             return stage
     if a.figures.by_object != 0.0:
         return _COMPARED if stage == _FINISH else _WITHOUT
-    _go_on(a, strain_prev, F_next_N)
-    for k in range(len(a.spans)):
-        _publish(a, _of_span(table, k).t, k)
-    status = _status(a, table)
+    p, s, u, work, out = a.line
+    u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = strain_prev + a.figures.input_strain, F_next_N
+    samples = int(a.figures.samples)
+    rig_cycle.step(p, s, u, work, out, a.motors, a.asked, samples, a.sensors, a.silence, a.shown)
+    status, valid = _publish(a, table, stage == _FINISH)
     a.figures.status, whole[at.status] = whole[at.status], status
     whole[at.number] = (whole[at.number] + 1) % _NUMBERS
     if stage == _FINISH_WITHOUT:
         return _WITHOUT
-    return _DONE if _is_published(a, table) and not status & (HOLDING | TRANSFER_REFUSED) else _LOOK
+    return _DONE if valid and not status & (HOLDING | TRANSFER_REFUSED) else _LOOK
 
 
 def warm_up() -> None:
@@ -317,12 +294,12 @@ class LineCycle:
         self._figures = np.array([(least_m, 0.0, cycle_s, 0.0, *flags, 0.0, 0.0)], _FIGURES)
         known = [(each.span - 1, each.config.synchronized_pct) for each in estimated]
         rows = [(place, nan, nan, nan, pct, 1.0, 0.0, 0.0, nan, nan) for place, pct in known]
-        self._spans = np.array(rows, _SPAN)
+        self.spans = np.array(rows, _SPAN)  #: of each estimator
         tracker, sums = (np.zeros(1, TRACKER), np.zeros(1, SUMS)) if passage is None else passage.arrays
         rad_per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, axes + 1)])
         own = np.zeros(_MEASURED_SIZE * axes), np.zeros(axes), np.zeros(rig_cycle.SHOWN * axes)
         self._by_object = _LineArrays(
-            *(travels, self.steady.state, self._figures, self._spans, rad_per_m, self._positions_m, np.zeros(axes)),
+            *(travels, self.steady.state, self._figures, self.spans, rad_per_m, self._positions_m, np.zeros(axes)),
             *own,
             step.motors,
             *(step.sensors, step.silence, np.zeros(2)),
@@ -341,14 +318,6 @@ class LineCycle:
     def is_by_object(self) -> bool:
         """True if it is not in vectors: the line is stepped by its object."""
         return bool(self._figures["by_object"][0])
-
-    def residual_Nm(self, place: int) -> float:
-        """Torque of the axis after the span of an estimator, from 0, measured less simulated."""
-        return float(self._spans["residual_Nm"][place])
-
-    def forget_residuals(self) -> None:
-        """Reset the torque residuals."""
-        self._spans["residual_Nm"] = 0.0
 
     def compare(
         self,
@@ -380,7 +349,7 @@ class LineCycle:
         self._fallback, boundary = fallback, vectors.boundary_places
         self._figures["samples"] = self._plant.step_in_vectors(self._cycle_s).samples
         self._figures["by_object"] = 0.0
-        self._spans["shift_Nm"] = self._spans["undecided"] = nan
+        self.spans["shift_Nm"] = self.spans["undecided"] = nan
         self._own = self._by_object._replace(
             measured=vectors.measured,
             asked=vectors.asked,
@@ -403,7 +372,7 @@ class LineCycle:
                 _run, cycle.COMPARE, self._own, continues=_DONE, fallback=self._fallback, table=self._table
             )
         self._figures["input_strain"] = self._estimated[0].input_strain
-        self._spans["separable"] = [each.separable for each in self._estimated]
+        self.spans["separable"] = [each.separable for each in self._estimated]
 
     def has_ended(self, code: int) -> bool:
         """True if the cycle was completed; see `machine.InVectors`."""
@@ -421,7 +390,7 @@ class LineCycle:
             each.has_advanced()
         place, behind = int(self._figures["at_span"][0]), _SAME_SPAN
         each, x_m = self._estimated[place], self._positions_m.tolist()
-        strain_before = float(self._spans["strain_before"][place])
+        strain_before = float(self.spans["strain_before"][place])
         if stage == _UNPAIRED:
             for each in self._estimated:
                 each.miss()
@@ -450,7 +419,7 @@ class LineCycle:
         )
         assert others is not None, "they were asked for"
         others.follow(x_m, float(values[at["strain_prev"]]), float(values[at["F_next_N"]]), self._cycle_s)
-        for row, span in zip(self._spans, known, strict=True):
+        for row, span in zip(self.spans, known, strict=True):
             if span > 1 and span - 1 not in known:
                 creep_ratio = others.creep_ratio(span - 1)
                 strain = interpreted(cycle.equivalent_strain)(others.strain(span - 1), creep_ratio)

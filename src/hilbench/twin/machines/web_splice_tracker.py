@@ -14,7 +14,6 @@ from math import isinf
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.compiled import Record, compiled, record_type
 from hilbench.estimation.web_line import splices
@@ -84,17 +83,13 @@ class SpliceTracker:
         first = trackings[0]
         self._finder = SpliceFinder(first.length_m, first.mass_kg, cycle_s)
         self._cycle_s = cycle_s
-        self._tracker = np.zeros(1, TRACKER)
-        self._state = self._tracker[0]
+        #: State of the tracker and sums of its finder, for compiled callers of `passes`.
+        self.arrays = np.zeros(1, TRACKER), self._finder.sums
+        self._state = self.arrays[0][0]
         self._state["every"] = max(1, round(_REMEMBERED_S / cycle_s))
         #: Checkpoints of the first span, by the position of the roller before it, m.
         self._memories: deque[tuple[float, Known]] = deque(maxlen=round(_LONGEST_S / _REMEMBERED_S))
         self.reset()
-
-    @property
-    def arrays(self) -> tuple[NDArray[np.void], NDArray[np.void]]:
-        """State of the tracker and sums of its finder, for compiled callers of `passes`."""
-        return self._tracker, self._finder.sums
 
     def reset(self) -> None:
         """Forget all joints: the web is uniform."""
