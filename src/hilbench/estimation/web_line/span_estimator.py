@@ -406,13 +406,8 @@ class SpanEstimator:
             self.has_advanced()
         else:
             self.go_on_from(stage, strain_prev)
-        if self.moved:
+        if self._t["moved"]:
             self._line.show()
-
-    @property
-    def moved(self) -> bool:
-        """True if measured states were transferred that the motors' feedback shows."""
-        return bool(self._t["moved"] != 0.0)
 
     def go_on_from(self, stage: int, strain_prev: float) -> None:
         """Run the interpreted rest of a cycle from `stage` on, where a compiled caller stopped."""

@@ -227,7 +227,7 @@ class WebLineTwin:
         positions_m = self._cycle.compare(positions_rad, torques_Nm, simulated_Nm, *boundary)
         if positions_m is None:
             return False
-        if any(each.moved for each in self._all):
+        if any(each.state["moved"] for each in self._all):
             self.plant.show()
         for each in self._all:
             rad_per_m = 1.0 / self._metres_per_rad[each.span]
@@ -254,7 +254,7 @@ class WebLineTwin:
         states = _states(self._boundary_inputs("strain_prev"), positions_m, speeds, torques_Nm)
         strains = {each.span: each.strain for each in self._all}
         if others is not None:
-            strains |= others.strains
+            strains |= {span: others.strain(span) for span in others.spans}
         believed = {span: strain for span, strain in strains.items() if abs(strain) <= LARGEST_STRAIN}
         self.plant.set_state(states | {f"strain{span}": strain for span, strain in believed.items()})
 

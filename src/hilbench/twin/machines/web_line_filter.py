@@ -178,7 +178,7 @@ class LineFilter:
             Unknown(Kind.MODULUS, axes_before_spans(model)[carriage.first_span - 1]) for carriage in model.carriages
         }
         answer = DriveResponse(self._gains, self._rates, 1, self._cycle_s)
-        answer.set_inertia(self._inertia_kg_m2)
+        answer.set_inertia(self.inertia_kg_m2)
         #: Of each section with a carriage: index of its E, and its transient detector.
         self._transients = [
             (place, transient_detector(model, unknown.number, self._rows.tolist(), answer, self._cycle_s))
@@ -288,14 +288,9 @@ class LineFilter:
 
     def _set_inertia(self) -> None:
         """Update the inertia of reels by the web on them."""
-        self._inertia_kg_m2 = self._own_kg_m2 + self._wound_kg_m2 * self.sensitivities.ratios**4
-        self._response.set_inertia(self._inertia_kg_m2)
-
-    @property
-    def inertia_kg_m2(self) -> Vector:
-        """Inertia of each driven roller (N,) with the web on it now, at the motor."""
-        inertia_kg_m2: Vector = self._inertia_kg_m2
-        return inertia_kg_m2
+        #: Inertia of each driven roller (N,) with the web on it now, at the motor.
+        self.inertia_kg_m2: Vector = self._own_kg_m2 + self._wound_kg_m2 * self.sensitivities.ratios**4
+        self._response.set_inertia(self.inertia_kg_m2)
 
     @property
     def swings(self) -> bool:
@@ -376,7 +371,7 @@ class LineFilter:
         speeds = self._rad_per_m * self.sensitivities.line.v_m_s
         before, self._speeds_rad_s = self._speeds_rad_s, speeds
         if self._emulated and before is not None:
-            lacking_kg_m2 = self._inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2
+            lacking_kg_m2 = self.inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2
             self._loads[:, -1] += lacking_kg_m2 * (speeds - before) / self._followed_s
 
     def _correct(self, time_s: float) -> bool:
@@ -616,7 +611,7 @@ class LineFilter:
         speeds_m_s = self.sensitivities.line.v_m_s[self._rows]
         before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
         rates = self._rad_per_m[self._rows] * (speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
-        noise += (_INERTIA_SHARE * self._inertia_kg_m2[self._rows] * rates) ** 2
+        noise += (_INERTIA_SHARE * self.inertia_kg_m2[self._rows] * rates) ** 2
         sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
         return np.concatenate([noise, sensors])
 
