@@ -178,7 +178,14 @@ def compare(b: BankArrays) -> None:
                 total += shares[i]
     for i in range(len(hypotheses)):
         shares[i] /= total
-    _mix(b.z, b.p, shares, b.places, b.out)
+    # Means and standard deviations of the mixture.
+    for m in range(len(b.places)):
+        j, mean, variance = b.places[m], 0.0, 0.0
+        for i in range(len(shares)):
+            mean += shares[i] * b.z[j, i]
+        for i in range(len(shares)):
+            variance += shares[i] * (b.p[j, j, i] + (b.z[j, i] - mean) ** 2)
+        b.out[0, j], b.out[1, j] = mean, sqrt(max(variance, 0.0))
 
 
 @compiled
@@ -191,15 +198,3 @@ def covariance(b: BankArrays, out: Array) -> None:
             for j in range(size):
                 for k in range(size):
                     out[j, k] += shares[i] * (p[j, k, i] + (z[j, i] - mean[j]) * (z[k, i] - mean[k]))
-
-
-@compiled
-def _mix(z: Array, p: Array, shares: Array, places: Places, out: Array) -> None:
-    """Means and standard deviations of the mixture into the first two rows of `out`."""
-    for m in range(len(places)):
-        j, mean, variance = places[m], 0.0, 0.0
-        for i in range(len(shares)):
-            mean += shares[i] * z[j, i]
-        for i in range(len(shares)):
-            variance += shares[i] * (p[j, j, i] + (z[j, i] - mean) ** 2)
-        out[0, j], out[1, j] = mean, sqrt(max(variance, 0.0))

@@ -163,19 +163,14 @@ class TwinApplication:
             self._clock.report_period(received.cycle_ns)
         elif received.were_apart and not received.apart:
             self._go_by(self.cycle_s)
-        elif not received.apart:
-            self._keep()
+        elif not received.apart and self._time_s - self._kept_s >= _KEPT_S:
+            self._kept_s = self._time_s
+            self._machine.keep()  # a checkpoint of the estimate
 
     @property
     def _apart(self) -> bool:
         """True if SYNC comes with another period than assumed."""
         return self._clock is not None and self._clock.apart
-
-    def _keep(self) -> None:
-        """Take a checkpoint of the estimate at intervals."""
-        if self._time_s - self._kept_s >= _KEPT_S:
-            self._kept_s = self._time_s
-            self._machine.keep()
 
     def _go_by(self, cycle_s: float) -> None:
         """Set the cycle time after a change of the SYNC period."""

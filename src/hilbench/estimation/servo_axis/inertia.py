@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hilbench.compiled import COUNT, TABLE, arrays_in, compiled, entry_point, reals, record_type, table_of
 from hilbench.estimation import bank, motion_filter
 from hilbench.estimation.assumptions import SEPARABLE
-from hilbench.estimation.bank import Array, BankArrays, Places
+from hilbench.estimation.bank import BankArrays, Places
 from hilbench.estimation.motion_filter import wandered
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.servo_axis import balance, kalman
@@ -195,14 +195,8 @@ class ShaftEstimate:
     also: tuple[Nuisance, ...] = ()
 
 
-class Known(NamedTuple):
-    """Checkpoint of a shaft's estimate: means and covariances of the filters, hypotheses, mixture, births."""
-
-    z: Array
-    p: Array
-    hypotheses: NDArray[np.void]
-    out: Array
-    births: NDArray[np.void]
+#: Checkpoint of a shaft's estimate: means and covariances of the filters, hypotheses, mixture, births.
+Known = tuple[NDArray[Any], ...]
 
 
 class InertiaEstimator:
@@ -258,7 +252,7 @@ class InertiaEstimator:
 
     def _kept(self) -> Known:
         b = self.arrays.bank
-        return Known(b.z, b.p, b.hypotheses, b.out, b.births)
+        return b.z, b.p, b.hypotheses, b.out, b.births
 
     @property
     def estimate(self) -> ShaftEstimate:

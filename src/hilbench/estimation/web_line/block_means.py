@@ -91,12 +91,6 @@ def take(s: Record, force_N: float, web_per_Pa: float, velocity_m_s: float) -> b
     s.collected += 1.0
     if s.collected < s.cycles:
         return False
-    _complete(s, velocity_m_s)
-    return True
-
-
-@inlined
-def _complete(s: Record, velocity_m_s: float) -> None:
     count = s.collected
     if count > ENDS:
         gained_m_s = _middle(s.last_m_s) - _middle(s.first_m_s)
@@ -112,6 +106,7 @@ def _complete(s: Record, velocity_m_s: float) -> None:
     s.duration_s = s.lasted * s.cycle_s
     begin(s)
     s.ready = 1.0
+    return True
 
 
 @inlined

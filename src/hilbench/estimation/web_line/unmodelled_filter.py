@@ -450,18 +450,6 @@ def _spread_N(f: Record, a: Array, modulus: float) -> float:
     return sqrt(max(variance, 0.0) + f.unrest_N2 + apart * apart)
 
 
-@compiled
-def _state_spread(f: Record, tension_N: float) -> None:
-    """State the deviation of the force correction now, and for a web without tension."""
-    a, b, modulus = f.now, f.row, f.stated
-    f.spread_N = _spread_N(f, a, modulus)
-    for i in range(STATES):
-        b[i] = 0.0 if i < OFFSET or _turns(i) else a[i]
-    b[SCALE] -= tension_N
-    b[CREEP] = f.stiffness_N * (tension_N - f.built_up_N)
-    f.intercept_N = _spread_N(f, b, modulus)
-
-
 @inlined
 def least_unrest_N2(tension_N: float) -> float:
     """Least variance of an intermittent force at a usual tension, N²."""
@@ -544,7 +532,13 @@ def take(
     f.wobble[2] += share * (cos(phi_1) - f.wobble[2])
     f.wobble[3] += share * (sin(phi_1) - f.wobble[3])
     if ended:
-        _state_spread(f, tension_N)
+        # The deviation of the force correction now, and for a web without tension.
+        f.spread_N = _spread_N(f, f.now, f.stated)
+        for i in range(STATES):
+            f.row[i] = 0.0 if i < OFFSET or _turns(i) else f.now[i]
+        f.row[SCALE] -= tension_N
+        f.row[CREEP] = f.stiffness_N * (tension_N - f.built_up_N)
+        f.intercept_N = _spread_N(f, f.row, f.stated)
         _look_at_stated(f, web_N)
     f.correction_N = force_of(f.now, f.theta, f.stated, True) + ripple_N
     if changed:

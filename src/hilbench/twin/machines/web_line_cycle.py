@@ -411,12 +411,8 @@ class LineCycle:
 
     def _follow_others(self, x_m: Sequence[float]) -> None:
         """Follow the spans without an estimator; their strains are those around the spans with one."""
-        others, known, values, at = (
-            self._others,
-            [each.span for each in self._estimated],
-            self._own.values,
-            self._own.at[0],
-        )
+        others, values, at = self._others, self._own.values, self._own.at[0]
+        known = [each.span for each in self._estimated]
         assert others is not None, "they were asked for"
         others.follow(x_m, float(values[at["strain_prev"]]), float(values[at["F_next_N"]]), self._cycle_s)
         for row, span in zip(self.spans, known, strict=True):

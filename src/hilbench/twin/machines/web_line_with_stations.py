@@ -217,13 +217,9 @@ class LineWithStationsTwin:
         """Read the boundary inputs of the web."""
         self.plant.set_input("strain_prev", self._boundary_inputs("strain_prev"))
         self.plant.set_input("F_next_N", self._boundary_inputs("F_next_N"))
-        for name, force_N in self._forces():
-            self.plant.set_input(name, force_N)
-            self._unknowns.sensitivities.set_input(name, force_N)
-
-    def _forces(self) -> list[tuple[str, float]]:
-        """Forces on carriages with a stated force, from the last SYNC on."""
-        return [(force_input(name), self._boundary_inputs(signal)) for name, signal in self._shape.forces]
+        for name, signal in self._shape.forces:  # on carriages with a stated force, from the last SYNC on
+            self.plant.set_input(force_input(name), self._boundary_inputs(signal))
+            self._unknowns.sensitivities.set_input(force_input(name), self._boundary_inputs(signal))
 
     def found(self) -> Sequence[EstimatedModelError]:
         """Empty: estimates are published as signals."""
