@@ -59,17 +59,24 @@ class BankArrays(NamedTuple):
     shares: Reals  #: probabilities (H,) of the hypotheses, 0 of dropped ones
     out: Reals2  #: means and standard deviations of the mixture; deviation of the watched parameter by noise alone
 
-    def begin(self) -> None:
-        """Restart from the filter in the first column alone."""
-        self.hypotheses[:] = 0
-        self.hypotheses["alive"][0] = 1.0
-        self.births["quiet_s"] = 0.0
-        self.out[0], self.out[1] = self.z[:, 0], np.sqrt(np.diag(self.p[:, :, 0]))
 
-    def set_priors(self, jumps_per_s: float, drift_onsets_per_s: float, cycle_s: float) -> None:
-        """Set the prior of one birth from the rates of jumps and of drift onsets."""
-        self.births["log_jump"] = log(jumps_per_s * _EVERY[_JUMP] * cycle_s)
-        self.births["log_drift"] = log(drift_onsets_per_s * _EVERY[_DRIFT] * cycle_s)
+@compiled
+def begin(b: BankArrays) -> None:
+    """Restart from the filter in the first column alone."""
+    for i in range(len(b.hypotheses)):
+        b.hypotheses[i].weight = b.hypotheses[i].age = b.hypotheses[i].alive = 0.0
+        b.hypotheses[i].kind = 0
+    b.hypotheses[0].alive = 1.0
+    b.births.quiet_s = 0.0
+    for j in range(b.z.shape[0]):
+        b.out[0, j], b.out[1, j] = b.z[j, 0], sqrt(b.p[j, j, 0])
+
+
+@compiled
+def set_priors(b: BankArrays, jumps_per_s: float, drift_onsets_per_s: float, cycle_s: float) -> None:
+    """Set the prior of one birth from the rates of jumps and of drift onsets."""
+    b.births.log_jump = log(jumps_per_s * _EVERY[_JUMP] * cycle_s)
+    b.births.log_drift = log(drift_onsets_per_s * _EVERY[_DRIFT] * cycle_s)
 
 
 def new_bank(
@@ -171,7 +178,14 @@ def compare(b: BankArrays) -> None:
                 total += shares[i]
     for i in range(len(hypotheses)):
         shares[i] /= total
-    _mix(b.z, b.p, shares, b.places, b.out)
+    # Means and standard deviations of the mixture.
+    for m in range(len(b.places)):
+        j, mean, variance = b.places[m], 0.0, 0.0
+        for i in range(len(shares)):
+            mean += shares[i] * b.z[j, i]
+        for i in range(len(shares)):
+            variance += shares[i] * (b.p[j, j, i] + (b.z[j, i] - mean) ** 2)
+        b.out[0, j], b.out[1, j] = mean, sqrt(max(variance, 0.0))
 
 
 @compiled
@@ -184,15 +198,3 @@ def covariance(b: BankArrays, out: Array) -> None:
             for j in range(size):
                 for k in range(size):
                     out[j, k] += shares[i] * (p[j, k, i] + (z[j, i] - mean[j]) * (z[k, i] - mean[k]))
-
-
-@compiled
-def _mix(z: Array, p: Array, shares: Array, places: Places, out: Array) -> None:
-    """Means and standard deviations of the mixture into the first two rows of `out`."""
-    for m in range(len(places)):
-        j, mean, variance = places[m], 0.0, 0.0
-        for i in range(len(shares)):
-            mean += shares[i] * z[j, i]
-        for i in range(len(shares)):
-            variance += shares[i] * (p[j, j, i] + (z[j, i] - mean) ** 2)
-        out[0, j], out[1, j] = mean, sqrt(max(variance, 0.0))

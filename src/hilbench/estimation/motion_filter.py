@@ -13,8 +13,6 @@ from __future__ import annotations
 from math import inf
 from typing import Final
 
-import numpy as np
-
 from hilbench.compiled import Record, compiled, inlined
 from hilbench.estimation.bank import Array, BankArrays, Places
 
@@ -150,16 +148,25 @@ def _correct(b: BankArrays, innovation: Array, variance: Array) -> None:
                 p[k, j, i] = mean
 
 
+@compiled
 def new_filter(b: BankArrays, i: int, deviation: float, priors: Array, position: float = 0.0) -> None:
     """Start filter `i` at rest with the parameter 1, of this deviation; `priors`: deviations of the nuisances."""
-    b.z[:, i] = 0.0
-    b.z[[X, PARAMETER], i] = position, 1.0
-    b.p[:, :, i] = np.diag([1e-8, 1.0, deviation**2, 0.0, *np.square(priors)])
+    z, p, size = b.z, b.p, b.z.shape[0]
+    for j in range(size):
+        z[j, i] = 0.0
+        for k in range(size):
+            p[j, k, i] = 0.0
+        if j >= NUISANCE:
+            p[j, j, i] = priors[j - NUISANCE] * priors[j - NUISANCE]
+    z[X, i], z[PARAMETER, i] = position, 1.0
+    p[X, X, i], p[V, V, i], p[PARAMETER, PARAMETER, i] = 1e-8, 1.0, deviation * deviation
 
 
+@compiled
 def lose_motion(b: BankArrays, position_variance: float) -> None:
     """Reset position and speed of every filter to unknown, but for the position's variance."""
-    for place, variance in ((X, position_variance), (V, 1.0)):
-        b.p[place, :, :] = 0.0
-        b.p[:, place, :] = 0.0
-        b.p[place, place, :] = variance
+    p = b.p
+    for i in range(p.shape[2]):
+        for j in range(p.shape[0]):
+            p[X, j, i] = p[j, X, i] = p[V, j, i] = p[j, V, i] = 0.0
+        p[X, X, i], p[V, V, i] = position_variance, 1.0

@@ -6,7 +6,7 @@ from math import isfinite, sqrt
 
 import numpy as np
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point, inlined
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined
 from hilbench.estimation.assumptions import MOST_SQUARE
 from hilbench.estimation.bank import Array
 
@@ -67,13 +67,6 @@ def _take(s: Array, value: float) -> None:
     take(s, value)
 
 
-@entry_point(MATRIX, VECTOR, VECTOR)
-def _take_all(states: Array, values: Array, variances: Array) -> None:
-    for i in range(len(states)):
-        take(states[i], values[i])
-        variances[i] = variance(states[i])
-
-
 class NoiseLevel:
     """Running estimate of the variance of white noise on a sampled signal.
 
@@ -86,39 +79,16 @@ class NoiseLevel:
         self.state[_VARIANCE] = self.state[_EXPECTED] = expected**2
         self.state[_SHARE], self.state[_FLOOR] = 1.0 / memory, floor
 
-    def interrupt(self) -> None:
-        """Form no difference across a gap before the next sample."""
-        self.state[_APART] = _DIFFERENCES
-
     def update(self, value: float) -> None:
         """Take one sample; non-finite ones are skipped."""
         _take(self.state, value)
 
     @property
-    def known(self) -> bool:
-        """True if the variance is measured, and not the expected one."""
-        return self.state.item(_COUNT) > _SETTLE
-
-    @property
     def variance(self) -> float:
         """Variance of the noise, unit of the signal squared."""
-        return self.state.item(_VARIANCE) if self.known else self.state.item(_EXPECTED)
+        return self.state.item(_VARIANCE if self.state.item(_COUNT) > _SETTLE else _EXPECTED)
 
     @property
     def deviation(self) -> float:
         """Standard deviation of the noise, unit of the signal."""
         return sqrt(self.variance)
-
-
-class NoiseLevels:
-    """Noise levels of several signals sampled together, as `NoiseLevel`; vectors (m,)."""
-
-    def __init__(self, expected: Array, floors: Array) -> None:
-        levels = [NoiseLevel(*each) for each in zip(expected.tolist(), floors.tolist(), strict=True)]
-        self._states = np.array([level.state for level in levels]).reshape(-1, SIZE)
-        #: Variances of the noise, unit of the signal squared.
-        self.variances = np.array([level.variance for level in levels])
-
-    def update(self, values: Array) -> None:
-        """Take a sample of each signal."""
-        _take_all(self._states, values, self.variances)

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, Record, Vector, compiled, entry_point, inlined, record_type, viewed
+from hilbench.compiled import REAL, VECTOR, Record, Vector, compiled, entry_point, record_type, viewed
 from hilbench.estimation.problems import PROBLEMS, Problem
 
 #: Cycles with exactly the same torque after which a noisy measurement counts as frozen.
@@ -42,8 +42,13 @@ def find_problem(s: Record, torque_Nm: float, pull_per_Pa: float, velocity_m_s: 
             s.has_changed = 1.0
         s.same = 0.0
     s.last_Nm = torque_Nm
+    size_Nm = abs(torque_Nm)
+    if size_Nm >= _SATURATED * s.limit_Nm or (s.limited != 0.0 and size_Nm >= _FREE * s.limit_Nm):
+        s.limited = s.free_cycles
+    elif s.limited != 0.0:
+        s.limited -= 1.0
     # A saturated torque repeats itself too.
-    if _is_limited(s, abs(torque_Nm)):
+    if s.limited > 0.0:
         return _SATURATED_NOW
     # A noiseless simulation at rest does as well, but it has not moved before.
     if s.same >= _FROZEN_CYCLES and s.has_changed != 0.0:
@@ -53,16 +58,6 @@ def find_problem(s: Record, torque_Nm: float, pull_per_Pa: float, velocity_m_s: 
     if abs(velocity_m_s) < s.standstill_m_s:
         return _STANDING
     return 0
-
-
-@inlined
-def _is_limited(s: Record, size_Nm: float) -> bool:
-    limit_Nm = s.limit_Nm
-    if size_Nm >= _SATURATED * limit_Nm or (s.limited != 0.0 and size_Nm >= _FREE * limit_Nm):
-        s.limited = s.free_cycles
-    elif s.limited != 0.0:
-        s.limited -= 1.0
-    return bool(s.limited > 0.0)
 
 
 @entry_point(VECTOR, REAL, REAL, REAL)

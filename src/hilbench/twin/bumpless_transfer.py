@@ -30,14 +30,11 @@ class BumplessTransfer:
         if self._shown:
             for at, largest in enumerate(self._largest):
                 alone, both = new[at] - self._new[at], old[at] - self._old[at]
-                follows = self._shown[at] + (alone if share == 1.0 else _of_both(alone, both))
+                if share != 1.0:  # the common part of both changes
+                    alone = 0.0 if alone * both <= 0.0 else min(alone, both, key=abs)
+                follows = self._shown[at] + alone
                 if abs(wanted[at] - follows) > largest:
                     shown[at] = follows + copysign(largest, wanted[at] - follows)
         self._old, self._new, self._shown = old, new, shown
         self.is_over = shown == wanted
         return shown
-
-
-def _of_both(old: float, new: float) -> float:
-    """Common part of two changes."""
-    return 0.0 if old * new <= 0.0 else min(old, new, key=abs)

@@ -41,16 +41,13 @@ class TwinInArrays:
         self._of_io: set[int] = set()  # cells that hold their values themselves
         self._cycles = 0
         self._by_objects = interpreted(self._go_on_by_objects)
-        if self._in_vectors:
-            self._find_slots()
-        else:
+        if not self._in_vectors:
             self._find_cells(of_host)
-
-    def _find_slots(self) -> None:
-        """Check that all inputs and outputs of the machine are in the arrays."""
-        slots, shown = self._slots, self._application.io
-        real = [slots.of(cell, is_float=True) for cell in (*shown.published_cells, *shown.boundary_cells.values())]
-        whole = [slots.of(cell) for cell in shown.status_cells]
+            return
+        # All inputs and outputs of the machine have to be in the arrays.
+        io = application.io
+        real = [slots.of(cell, is_float=True) for cell in (*io.published_cells, *io.boundary_cells.values())]
+        whole = [slots.of(cell) for cell in io.status_cells]
         known = {(slot, is_float) for _, slot, is_float in self._cells}
         if not {(slot, True) for slot in real} | {(slot, False) for slot in whole} <= known:
             raise FastPathRefusedError

@@ -8,10 +8,9 @@ from one to the other along a smooth curve, so that the tension loop, which work
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from hilbench.estimation.problems import Problem
 from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorPort
 from hilbench.topology.blocks import MachineParameters
@@ -59,7 +58,8 @@ class ModelSwitcher:
     ) -> None:
         self._make, self._beside = make, beside
         self._cycle_s = cycle_s
-        self._configured = self._current = make("")()
+        #: Machine whose model is in use.
+        self._configured = self.in_use = make("")()
         self.ports: Sequence[MotorPort] = self._configured.ports
         self._pending: PendingModel | None = None
         self._candidate: TwinMachine | None = None
@@ -108,30 +108,10 @@ class ModelSwitcher:
     @property
     def only_plant(self) -> Plant | None:
         """Configured model if no other is in use or tried; it then drives the ports itself."""
-        alone = not self.changing and self._current is self._configured and self._smooth.is_over
+        alone = not self.changing and self.in_use is self._configured and self._smooth.is_over
         return self._configured.plant if alone else None
 
-    @property
-    def in_use(self) -> TwinMachine:
-        """Machine whose model is in use."""
-        return self._current
-
     # -- a TwinMachine -----------------------------------------------------------------------------------
-
-    @property
-    def problems(self) -> Mapping[int, Problem | None]:
-        """Problems by span number."""
-        return self._current.problems
-
-    @property
-    def shift_span(self) -> int:
-        """Span of the torque shift."""
-        return self._current.shift_span
-
-    @property
-    def refused(self) -> bool:
-        """True if a measured state was implausible in the last cycle and was not transferred."""
-        return self._current.refused
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
         """Freeze parameter adaptation while the SYNC period is uncertain."""
@@ -153,14 +133,14 @@ class ModelSwitcher:
     def _machines(self) -> list[TwinMachine]:
         """All existing machines."""
         found = [self._configured]
-        for machine in (self._current, self._candidate):
+        for machine in (self.in_use, self._candidate):
             if machine is not None and machine is not self._configured:
                 found.append(machine)
         return found
 
     def reset(self) -> None:
         """Reset to the configured model."""
-        self._candidate, self._current, self._share = None, self._configured, 0.0
+        self._candidate, self.in_use, self._share = None, self._configured, 0.0
         self._pending, self._effects = None, ""
         self._smooth = BumplessTransfer(self._configured.largest_steps)
         self._configured.reset()
@@ -169,16 +149,16 @@ class ModelSwitcher:
         """Release after the drives were enabled; False if the measurements are not coherent (of one instant)."""
         if self._candidate is not None and self._share > 0.0:
             self._take_over(self._candidate)
-        self._pass_set_points(self._current)
+        self._pass_set_points(self.in_use)
         self._before, self._released = None, False
-        return self._current.release(before, now, in_motion=in_motion)
+        return self.in_use.release(before, now, in_motion=in_motion)
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
         """Take the axes' (N,) measurements.
 
         A candidate is released by two successive measurements that the model in use finds coherent.
         """
-        self._fresh = self._current.compare(time_s, measured)
+        self._fresh = self.in_use.compare(time_s, measured)
         candidate = self._candidate
         if candidate is not None:
             if self._released:
@@ -195,13 +175,13 @@ class ModelSwitcher:
                 self._candidate.miss()
             self._before = None
         self._fresh = False
-        self._current.miss()
+        self.in_use.miss()
 
     def listen(self) -> None:
         """Read the boundary inputs."""
         if self._candidate is not None and self._released:
             self._candidate.listen()
-        self._current.listen()
+        self.in_use.listen()
 
     def step(self, duration_s: float) -> None:
         """Step by the ports' set points."""
@@ -209,8 +189,8 @@ class ModelSwitcher:
         if plant is not None:
             plant.step(duration_s)
             return
-        self._pass_set_points(self._current)
-        self._current.plant.step(duration_s)
+        self._pass_set_points(self.in_use)
+        self.in_use.plant.step(duration_s)
         if self._pending is not None and self._pending.done():
             self._candidate, self._pending = self._pending.result(), None
             self._candidate.set_cycle_time(self._cycle_s)
@@ -220,25 +200,25 @@ class ModelSwitcher:
             candidate.plant.step(duration_s)
             self._cycles_since += 1
             self._go_over(candidate)
-        if self._current is not self._configured:
-            for shown, port in zip(self.ports, self._current.ports, strict=True):
+        if self.in_use is not self._configured:
+            for shown, port in zip(self.ports, self.in_use.ports, strict=True):
                 shown.reference, shown.torque_limited = port.reference, port.torque_limited
                 shown.position_rad, shown.velocity_rad_s = port.position_rad, port.velocity_rad_s
                 shown.torque_Nm = port.torque_Nm
 
     def use_method(self, number: int) -> None:
         """Switch to another method from the present estimate."""
-        self._current.use_method(number)
+        self.in_use.use_method(number)
         if self._candidate is not None:
             self._candidate.use_method(number)
 
     def found(self) -> Sequence[EstimatedModelError]:
         """Estimated errors of the model in use."""
-        return self._current.found()
+        return self.in_use.found()
 
     def published(self) -> Sequence[float]:
         """Outputs of the virtual I/O, blended during a transfer."""
-        shown = self._current.published()
+        shown = self.in_use.published()
         if self._candidate is None or self._share == 0.0:
             return shown if self._smooth.is_over else self._smooth.show(shown, shown, 1.0)
         both = self._smooth.show(shown, self._candidate.published(), self._share)
@@ -284,7 +264,7 @@ class ModelSwitcher:
         self._take_over(candidate)
 
     def _take_over(self, candidate: TwinMachine) -> None:
-        self._current, self._candidate, self._share = candidate, None, 0.0
+        self.in_use, self._candidate, self._share = candidate, None, 0.0
         self._effects = self._effects_beside
 
 

@@ -86,19 +86,19 @@ class TwinApplication:
         self.missed = 0
         self.malformed = 0  #: frames with the COB-ID, but not the length, of an axis' TPDO
         self.surplus = 0  #: TPDOs of an axis beyond the one that answers SYNC
-        self._cycle_s = setup.cycle_s
+        self.cycle_s = setup.cycle_s  #: simulated time per SYNC
         self._model = setup.model
         self._hold_when_behind = setup.twin.behind == "hold"
         self._machine = machine
         self._ports = machine.ports
-        self._drives = drives
-        self._device = device
-        self._io = virtual_io
-        self._listeners = [AxisListener(node, setup.cycle_s) for node in setup.real_axes]
-        self.listens_to = frozenset(listener.cob_id for listener in self._listeners)
-        self._nothing: list[Measured | None] = [None] * len(self._listeners)
+        self.drives = drives  #: virtual axes
+        self.device, self.io = device, virtual_io  #: of the virtual I/O, and the access to its objects
+        #: Receivers of the real axes' TPDOs.
+        self.listeners = [AxisListener(node, setup.cycle_s) for node in setup.real_axes]
+        self.listens_to = frozenset(listener.cob_id for listener in self.listeners)
+        self._nothing: list[Measured | None] = [None] * len(self.listeners)
         self._measured = list(self._nothing)
-        self._owed = [0] * len(self._listeners)  # SYNCs that the axis has not answered
+        self._owed = [0] * len(self.listeners)  # SYNCs that the axis has not answered
         self._measured_before: list[Measured] | None = None  # while the machine waits to be released
         self._waited_s = 0.0  # for set points of moving axes
         self._was_held = False  # by a disabled drive, since the start
@@ -118,11 +118,6 @@ class TwinApplication:
         virtual_io.on_found(lambda: as_text(machine.found()))
         virtual_io.on_model(self._use_model, lambda: machine.largest_steps)
         self._publish()
-
-    @property
-    def drives(self) -> Sequence[SimulatedDrive]:
-        """Virtual axes."""
-        return self._drives
 
     def reset(self) -> None:
         """Reset to the initial assumptions (reset of the virtual I/O node)."""
@@ -151,7 +146,7 @@ class TwinApplication:
         self._sync_number += 1
         self._behind = behind
         self._look_at_the_clock(behind)
-        self._io.publish_status(self._sync_number, behind, self._status())
+        self.io.publish_status(self._sync_number, behind, self._status())
 
     def _look_at_the_clock(self, behind: int) -> None:
         """Track the SYNC period in real time, where the axes also go through cycles whose SYNC was missed."""
@@ -167,24 +162,19 @@ class TwinApplication:
             self._go_by(received.cycle_ns * 1e-9)
             self._clock.report_period(received.cycle_ns)
         elif received.were_apart and not received.apart:
-            self._go_by(self._cycle_s)
-        elif not received.apart:
-            self._keep()
+            self._go_by(self.cycle_s)
+        elif not received.apart and self._time_s - self._kept_s >= _KEPT_S:
+            self._kept_s = self._time_s
+            self._machine.keep()  # a checkpoint of the estimate
 
     @property
     def _apart(self) -> bool:
         """True if SYNC comes with another period than assumed."""
         return self._clock is not None and self._clock.apart
 
-    def _keep(self) -> None:
-        """Take a checkpoint of the estimate at intervals."""
-        if self._time_s - self._kept_s >= _KEPT_S:
-            self._kept_s = self._time_s
-            self._machine.keep()
-
     def _go_by(self, cycle_s: float) -> None:
         """Set the cycle time after a change of the SYNC period."""
-        self._cycle_s = cycle_s
+        self.cycle_s = cycle_s
         self._machine.set_cycle_time(cycle_s)
         self._reports.set_cycle_time(cycle_s)
         self._travels = CycleCountFromPosition(self._model, cycle_s)
@@ -207,20 +197,20 @@ class TwinApplication:
         if 0 < skipped <= _MOST_SKIPPED:
             for _ in range(skipped):
                 self._machine.miss()  # the next sample is not one cycle after the last
-                self._machine.step(self._cycle_s)
-                self._time_s += self._cycle_s
+                self._machine.step(self.cycle_s)
+                self._time_s += self.cycle_s
         return skipped >= 0
 
     def after_sync(self) -> None:
         """Update the drives after the TPDOs are sent; simulate as soon as the measurements are there."""
-        for drive in self._drives:
-            drive.sync(self._cycle_s)
+        for drive in self.drives:
+            drive.sync(self.cycle_s)
         self._pending = True
 
     def on_frame(self, frame: Frame) -> None:
         """Take the real axes' TPDOs, one per SYNC: of two senders the first, as the bench does. The last awaited one
         starts the simulation of the cycle."""
-        for axis, listener in enumerate(self._listeners):
+        for axis, listener in enumerate(self.listeners):
             if frame.can_id == listener.cob_id:
                 if len(frame.data) != listener.size:
                     self.malformed += 1
@@ -249,29 +239,9 @@ class TwinApplication:
         return self._clock is not None
 
     @property
-    def listeners(self) -> Sequence[AxisListener]:
-        """Receivers of the real axes' TPDOs."""
-        return self._listeners
-
-    @property
-    def device(self) -> Device:
-        """Device of the virtual I/O."""
-        return self._device
-
-    @property
     def turned(self) -> Steps:
         """Simulation driven by the virtual axes' motors: the model itself, while no other is tried or in use."""
         return self._machine.only_plant or self._machine
-
-    @property
-    def cycle_s(self) -> float:
-        """Simulated time per SYNC."""
-        return self._cycle_s
-
-    @property
-    def io(self) -> VirtualIo:
-        """Object dictionary interface of the virtual I/O."""
-        return self._io
 
     def begin_fast_path(self) -> tuple[int, int, int]:
         """`before_sync` of a fast-path cycle, in which all answers come in time. Returns number, age and status of that
@@ -284,11 +254,11 @@ class TwinApplication:
         """Run the rest of a cycle after `begin_fast_path`, with the axes' (N,) measurements at SYNC. `step`: advances
         virtual axes and machine, in place of their `sync` and `step`."""
         self._sync_number += 1
-        self._io.publish_status(*self._last_status)
+        self.io.publish_status(*self._last_status)
         self._compare(measured)
         self._machine.listen()
         step()
-        self._time_s += self._cycle_s
+        self._time_s += self.cycle_s
         self._publish()
 
     def awaits_measurements(self) -> None:
@@ -299,7 +269,7 @@ class TwinApplication:
         self._owed = [owed + 1 for owed in self._owed]
         self._pending = True
         if self._in_vectors is None:
-            self._io.publish_status(*self._last_status)
+            self.io.publish_status(*self._last_status)
 
     @property
     def runs_in_vectors(self) -> bool:
@@ -340,8 +310,8 @@ class TwinApplication:
         went = machine.go_on_from(code)
         if went == LOOK or (went != MISSED and not self._reports.quiet):
             self._reports.update()
-            self.leaves_vectors = self._machine.refused
-        self._time_s += self._cycle_s
+            self.leaves_vectors = self._machine.in_use.refused
+        self._time_s += self.cycle_s
         # Reports have to be sent before the next SYNC.
         return went != LOOK and self._reports.quiet and not self.leaves_vectors and piece is machine.piece
 
@@ -355,7 +325,7 @@ class TwinApplication:
         syncs = (int(vectors.whole[vectors.number]) - 1 + further - self._sync_number) & 0xFFFF
         self._sync_number += syncs
         for _ in range(syncs):
-            self._time_s += self._cycle_s
+            self._time_s += self.cycle_s
 
     def forget_vectors(self) -> None:
         """Leave the vectors without a cycle run in them."""
@@ -368,12 +338,12 @@ class TwinApplication:
                 self._count_syncs(0)
             outputs, vectors = self._in_vectors.give(), self._vectors
             status = int(vectors.whole[vectors.status]) if self._pending else outputs
-            self._io.publish_status(self._sync_number, 0, status)
+            self.io.publish_status(self._sync_number, 0, status)
             self._in_vectors = None
 
     def tick(self, duration_s: float) -> None:
         """Run the virtual drives' state machines without SYNC."""
-        for drive in self._drives:
+        for drive in self.drives:
             drive.sync(duration_s)
             drive.publish()
 
@@ -389,14 +359,14 @@ class TwinApplication:
                     self._compare(self._complete())
                 self._machine.listen()
                 if new:
-                    self._machine.step(self._cycle_s)
-                    self._time_s += self._cycle_s
+                    self._machine.step(self.cycle_s)
+                    self._time_s += self.cycle_s
         else:
             self._released, self._was_held = False, True
             self._measured_before = None
             self._travels.reset()
         self._measured = list(self._nothing)
-        for drive in self._drives:
+        for drive in self.drives:
             drive.publish()
         self._publish()
 
@@ -423,10 +393,10 @@ class TwinApplication:
         time: an axis may be driven externally."""
         travels = [now - then for (then, _), (now, _) in zip(before, measured, strict=True)]
         brakes = any(
-            port.mode is MotorMode.VELOCITY and port.setpoint == 0.0 and abs(way) > _MOVES_RAD_S * self._cycle_s
+            port.mode is MotorMode.VELOCITY and port.setpoint == 0.0 and abs(way) > _MOVES_RAD_S * self.cycle_s
             for port, way in zip(self._ports, travels, strict=True)
         )
-        self._waited_s = self._waited_s + self._cycle_s if brakes else 0.0
+        self._waited_s = self._waited_s + self.cycle_s if brakes else 0.0
         return brakes and self._waited_s <= _LONGEST_WAIT_S
 
     def _compare(self, measured: list[Measured] | None) -> None:
@@ -473,7 +443,7 @@ class TwinApplication:
         return status
 
     def _publish(self) -> None:
-        self._io.publish(self._machine.published())
+        self.io.publish(self._machine.published())
 
 
 def _beside(process: ProcessSettings) -> Callable[[Make], PendingModel]:

@@ -19,7 +19,7 @@ class Reports:
 
     def __init__(self, device: Device, machine: ModelSwitcher, cycle_s: float) -> None:
         self._device, self._machine = device, machine
-        self._alarms = {part: Alarms(cycle_s) for part in machine.problems}
+        self._alarms = {part: Alarms(cycle_s) for part in machine.in_use.problems}
         self._forget()
 
     def _forget(self) -> None:
@@ -46,7 +46,7 @@ class Reports:
         """Report by EMCY why a measurement is unusable, and when it is usable again."""
         if self.quiet and self._machine.in_use.problem is None:
             return
-        for part, found in self._machine.problems.items():
+        for part, found in self._machine.in_use.problems.items():
             begun, ended = self._alarms[part].update(found)
             for problem in ended:
                 self._device.clear_emergency(problem, part)
@@ -61,12 +61,12 @@ class Reports:
         if shift_Nm != self._reported_shift_Nm:
             self._device.clear_emergency(TORQUE_SHIFT)
             if shift_Nm != 0.0:
-                info = pack("<f", shift_Nm) + _at(self._machine.shift_span)[-1:]
+                info = pack("<f", shift_Nm) + _at(machine.shift_span)[-1:]
                 self._device.emergency(TORQUE_SHIFT, PROFILE_SPECIFIC, info)
             self._reported_shift_Nm = shift_Nm
         if undecided is not self._reported_undecided:
             if undecided:
-                self._device.emergency(UNDECIDED, PROFILE_SPECIFIC, _at(self._machine.shift_span))
+                self._device.emergency(UNDECIDED, PROFILE_SPECIFIC, _at(machine.shift_span))
             else:
                 self._device.clear_emergency(UNDECIDED)
             self._reported_undecided = undecided

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 from hilbench.can.embedded import EmbeddedLink
@@ -29,7 +29,10 @@ def run(config: BenchConfig) -> int | None:
     """
     stop = stop_request()
     with nodes_of_ours(config.bus_address, config.virtual_nodes, "twin", by_bench=started_by_bench()):
-        return run_twin(twin_setup(config), stop, log)
+        setup = twin_setup(config)
+        hosted = twin(setup)
+        fast_path = partial(fast_path_host, hosted=hosted, setup=setup)
+        return run_devices(setup.bus, hosted, fast_path, setup.process, stop, log)
 
 
 def load(config: BenchConfig) -> None:
@@ -39,17 +42,6 @@ def load(config: BenchConfig) -> None:
     if config.pace == "lockstep":
         warm_up_packets()
         warm_up_in_vectors(*of_machine)
-
-
-def run_twin(setup: TwinSetup, stop: Callable[[], bool], report: Callable[[str], None]) -> int | None:
-    """Run the twin on its bus until `stop` returns True. Raises BusError when the bus is lost.
-
-    Returns the number of frames lost because they were not read in time (None: unknown on this bus).
-    """
-    hosted = twin(setup)
-    return run_devices(
-        setup.bus, hosted, partial(fast_path_host, hosted=hosted, setup=setup), setup.process, stop, report
-    )
 
 
 def fast_path_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: TwinSetup) -> FastPathHost | None:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import IntFlag
 
 from hilbench.canopen.device import Device
-from hilbench.canopen.object_store import Cell
 from hilbench.topology.process_data.table import ProcessData
 
 _STATUS = 0x2100  #: manufacturer specific: SYNC number of the process data, and their status
@@ -41,11 +40,12 @@ class VirtualIo:
     """
 
     def __init__(self, device: Device, data: ProcessData, boundary: Mapping[str, float]) -> None:
-        self._published = [device.cell(signal.index, signal.sub) for signal in data.published]
-        self._boundary_inputs = {signal.name: device.cell(signal.index, signal.sub) for signal in data.boundary_inputs}
-        self._sync_number = device.cell(_STATUS, 1)
-        self._age = device.cell(_STATUS, 2)
-        self._status = device.cell(_STATUS, 3)
+        #: Published objects of 6403h, in the order of `ProcessData.published`.
+        self.published_cells = [device.cell(signal.index, signal.sub) for signal in data.published]
+        #: Boundary inputs: the objects of 6413h by signal.
+        self.boundary_cells = {signal.name: device.cell(signal.index, signal.sub) for signal in data.boundary_inputs}
+        #: SYNC number, age and status (2100h).
+        self.status_cells = device.cell(_STATUS, 1), device.cell(_STATUS, 2), device.cell(_STATUS, 3)
         self._method = device.cell(_SYNCHRONIZER, 1)
         self._effects = device.cell(_MODEL, 1) if device.has(_MODEL, 1) else None
         self._step = device.cell(_MODEL, 2) if device.has(_MODEL, 2) else None
@@ -57,33 +57,18 @@ class VirtualIo:
     def reset_boundary_inputs(self) -> None:
         """Reset the outputs to their initial values."""
         for name, value in self._boundary.items():
-            self._boundary_inputs[name].value = value
-
-    @property
-    def published_cells(self) -> Sequence[Cell]:
-        """Published objects of 6403h, in the order of `ProcessData.published`."""
-        return self._published
-
-    @property
-    def boundary_cells(self) -> Mapping[str, Cell]:
-        """Boundary inputs: the objects of 6413h by signal."""
-        return self._boundary_inputs
-
-    @property
-    def status_cells(self) -> tuple[Cell, Cell, Cell]:
-        """SYNC number, age and status (2100h)."""
-        return self._sync_number, self._age, self._status
+            self.boundary_cells[name].value = value
 
     def publish(self, values: Sequence[float]) -> None:
         """Set the values of the next TPDOs: one for each signal of 6403h, in the order of `ProcessData.published`."""
-        for cell, value in zip(self._published, values, strict=True):
+        for cell, value in zip(self.published_cells, values, strict=True):
             cell.value = value
 
     def publish_status(self, sync_number: int, age_cycles: int, status: int) -> None:
         """Set SYNC number since NMT start, number of waiting SYNCs, and the bits of `TwinStatus`."""
-        self._sync_number.value = sync_number & 0xFFFF
-        self._age.value = min(age_cycles, 0xFF)
-        self._status.value = status
+        values = sync_number & 0xFFFF, min(age_cycles, 0xFF), status
+        for cell, value in zip(self.status_cells, values, strict=True):
+            cell.value = value
 
     def on_method(self, act: Callable[[int], None]) -> None:
         """Call `act` with the number of the method that is written (0: as configured)."""
@@ -105,4 +90,4 @@ class VirtualIo:
 
     def boundary_inputs(self, name: str) -> float:
         """Boundary input by signal, as last stated by the bench."""
-        return float(self._boundary_inputs[name].value)
+        return float(self.boundary_cells[name].value)

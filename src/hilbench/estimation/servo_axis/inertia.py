@@ -10,13 +10,14 @@ from typing import Annotated, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, REAL, TABLE, arrays_in, compiled, entry_point, record_type, table_of
+from hilbench.compiled import COUNT, TABLE, arrays_in, compiled, entry_point, reals, record_type, table_of
 from hilbench.estimation import bank, motion_filter
 from hilbench.estimation.assumptions import SEPARABLE
-from hilbench.estimation.bank import Array, BankArrays, Places
+from hilbench.estimation.bank import BankArrays, Places
+from hilbench.estimation.motion_filter import wandered
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.servo_axis import balance, kalman
-from hilbench.estimation.servo_axis.balance import FilterInputs, InputArrays, ShaftSample
+from hilbench.estimation.servo_axis.balance import InputArrays, ShaftSample
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
@@ -43,14 +44,13 @@ _LEFT_OUT = 0.05
 _CAUTION = 0.3
 #: Number of the cycle after which the bank's next is that of a large jump.
 _BEFORE_LARGE_JUMP = 3.0
+#: Deviation of β at the start, growth of its variance without usable sample; lasting error of the inertia; share from
+#: which on it is separable; rates of births; the model's values of the nuisance parameters.
 FIGURES: Final = np.dtype(
     [
-        ("log_jump", "f8"),  # priors of a birth for a cycle
-        ("log_drift", "f8"),
-        ("unmodelled", "f8"),  # lasting error of the inertia
-        ("separable", "f8"),  # share from which on it is separable
-        ("jumps_per_s", "f8"),
-        ("of_model", "f8", (kalman.TERMS,)),  # the model's values of the nuisance parameters
+        *record_type("initial_deviation", "hold_growth_per_s", "unmodelled", "separable").descr,
+        *record_type("jumps_per_s", "drift_onsets_per_s").descr,
+        ("of_model", "f8", (kalman.TERMS,)),
     ]
 )
 #: Stated values: inertia and its deviation, separable flag; viscous and dry friction, including the model's, and their
@@ -121,37 +121,67 @@ def _state_estimate(v: InertiaArrays) -> None:
     stated.viscous_sd, stated.coulomb_sd = out[1, kalman.Q + 1], out[1, kalman.Q + 2]
 
 
-#: Results of a cycle: nothing done, all is the interpreter's; the bank was misled and restarts; a normal cycle.
-NOT_NEXT, MISLED, TAKEN = range(3)
+@compiled
+def _begin(v: InertiaArrays) -> None:
+    """Reset to the model's inertia with the initial deviation; the motion is to be placed, not the estimate of the
+    shaft."""
+    motion_filter.new_filter(v.bank, 0, v.figures.initial_deviation, v.inputs.u.priors)
+    bank.begin(v.bank)
+    v.stated.inertia_kg_m2, v.inputs.s.lost = 0.0, 1.0
 
 
 @compiled
-def take_next(v: InertiaArrays, position_rad: float, torque_Nm: float, ripple_Nm: float) -> int:
-    """Compiled `InertiaEstimator.update` of a sample that `balance.take_next` accepts."""
-    if not balance.take_next(v.inputs, position_rad, torque_Nm, ripple_Nm):
-        return NOT_NEXT
-    births = v.bank.births
-    births.cycle += 1.0
-    births.log_jump, births.log_drift = v.figures.log_jump, v.figures.log_drift
-    if not _step(v):
-        return MISLED
+def update(v: InertiaArrays, position_rad: float, torque_Nm: float, ripple_Nm: float) -> None:
+    """Take a sample: step every hypothesis and add the births of the next."""
+    s, u, b, figures = v.inputs.s, v.inputs.u, v.bank, v.figures
+    usable = balance.take(v.inputs, position_rad, torque_Nm, ripple_Nm)
+    if balance.is_lost(s):
+        s.lost = 1.0
+    if usable:
+        if s.lost != 0.0 or s.in_doubt != 0.0:
+            speed = u.regressors[1]
+            motion_filter.lose_motion(b, _PLACED_RAD2)
+            for i in range(b.z.shape[1]):
+                b.z[motion_filter.X, i], b.z[motion_filter.V, i] = position_rad - u.duration_s * speed, speed
+            s.lost = 0.0
+        b.births.cycle += 1.0
+        bank.set_priors(b, figures.jumps_per_s, figures.drift_onsets_per_s, u.duration_s)
+        # No shaft turns against its torque: an invalid estimate was misled, e.g. by a strong ripple that the model
+        # lacks.
+        if not _step(v):
+            _begin(v)
     _state_estimate(v)
-    return TAKEN
 
 
-#: Actions on an estimator: take the next sample; step the bank; update the stated values.
-_TAKE, _STEP, _STATE = range(3)
+@compiled
+def hold(v: InertiaArrays, duration_s: float, usable: bool) -> None:
+    """Hold the estimate over a time without sample, deviation growing. The next one is compared over all the time since
+    the last; where this one is not `usable` the motion is initialized anew."""
+    p, out, u, added = v.bank.p, v.bank.out, v.inputs.u, v.figures.hold_growth_per_s * duration_s
+    balance.miss(v.inputs, usable)
+    if balance.is_lost(v.inputs.s):
+        v.inputs.s.lost = 1.0
+    for i in range(p.shape[2]):
+        p[kalman.BETA, kalman.BETA, i] += wandered(p[kalman.BETA, kalman.BETA, i], added, u.parameter_bound)
+    variance = out[1, kalman.BETA] ** 2
+    out[1, kalman.BETA] = sqrt(variance + wandered(variance, added, u.parameter_bound))
+    _state_estimate(v)
 
 
-@entry_point(COUNT, REAL, REAL, REAL, TABLE)
-def _act(what: int, position_rad: float, torque_Nm: float, ripple_Nm: float, table: Places) -> int:
+#: Actions on an estimator: start; take a sample; skip a cycle without one; hold.
+_BEGIN, _UPDATE, _MISS, _HOLD = range(4)
+
+
+@entry_point(COUNT, reals(3), TABLE)
+def _act(what: int, values: tuple[float, ...], table: Places) -> None:
     v = arrays_in(table, InertiaArrays)
-    if what == _TAKE:
-        return take_next(v, position_rad, torque_Nm, ripple_Nm)
-    if what == _STEP:
-        return TAKEN if _step(v) else MISLED
-    _state_estimate(v)
-    return TAKEN
+    if what == _UPDATE:
+        update(v, values[0], values[1], values[2])
+    elif what == _BEGIN:
+        _begin(v)
+        _state_estimate(v)
+    else:
+        hold(v, values[0], what == _MISS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,114 +195,50 @@ class ShaftEstimate:
     also: tuple[Nuisance, ...] = ()
 
 
-class Known(NamedTuple):
-    """Checkpoint of a shaft's estimate: means and covariances of the filters, hypotheses, mixture, births."""
-
-    z: Array
-    p: Array
-    hypotheses: NDArray[np.void]
-    out: Array
-    births: NDArray[np.void]
+#: Checkpoint of a shaft's estimate: means and covariances of the filters, hypotheses, mixture, births.
+Known = tuple[NDArray[Any], ...]
 
 
 class InertiaEstimator:
     """Estimator of an axis's inertia and friction, one sample a cycle; starts at `model`."""
 
     def __init__(self, config: InertiaConfig, model: ServoAxisParameters) -> None:
-        self._config = config
-        self._inputs = FilterInputs(model, config)
-        shaft = model.shaft
+        shaft, figures, stated = model.shaft, np.zeros(1, FIGURES), np.zeros(1, STATED)
         offset_Nm = look(lay.pack(model), 0.0)[2]
-        of_model = offset_Nm, shaft.viscous_friction_Nm_s_per_rad, shaft.coulomb_friction_Nm, 0.0, 0.0
-        separable = SEPARABLE * 0.01 * config.initial_deviation_pct
-        figures = (0.0, 0.0, 0.01 * config.unmodelled_pct, separable, config.jumps_per_s, of_model)
-        self._figures = np.array([figures], FIGURES)
-        self._bank = bank.new_bank(kalman.SIZE, np.arange(kalman.SIZE), config.jump_pct, config.drift_pct_per_s)
-        self._cycle_s = 0.0  # cycle time of the birth priors
-        self._stated = np.zeros(1, STATED)
-        self.stated: np.void = self._stated[0]  #: a `STATED`
-        self._begin()
-        self._gather()
-        self._state_estimate()
-
-    def _gather(self) -> None:
-        """Collect the current arrays and the table of their addresses."""
-        self.arrays = InertiaArrays(self._inputs.arrays, self._bank, self._figures, self._stated)
+        figures["of_model"] = offset_Nm, shaft.viscous_friction_Nm_s_per_rad, shaft.coulomb_friction_Nm, 0.0, 0.0
+        figures["initial_deviation"] = 0.01 * config.initial_deviation_pct
+        figures["separable"] = SEPARABLE * 0.01 * config.initial_deviation_pct
+        figures["unmodelled"], figures["jumps_per_s"] = 0.01 * config.unmodelled_pct, config.jumps_per_s
+        figures["drift_onsets_per_s"] = config.drift_onsets_per_s
+        figures["hold_growth_per_s"] = (0.01 * config.hold_growth_pct_per_s) ** 2
+        filters = bank.new_bank(kalman.SIZE, np.arange(kalman.SIZE), config.jump_pct, config.drift_pct_per_s)
+        #: For compiled callers of `update` and `hold`.
+        self.arrays = InertiaArrays(balance.new_inputs(model, config), filters, figures, stated)
+        self.stated: np.void = stated[0]  #: a `STATED`
         self._table = table_of(self.arrays)
+        self._act(_BEGIN)
 
-    @property
-    def table(self) -> Places:
-        """Addresses of the arrays, for compiled callers of `take_next`; replaced whenever the arrays are."""
-        if self.arrays.inputs is not self._inputs.arrays:
-            self._gather()
-        return self._table
-
-    def _begin(self) -> None:
-        """Reset to the model's inertia with the initial deviation."""
-        deviation = 0.01 * self._config.initial_deviation_pct
-        motion_filter.new_filter(self._bank, 0, deviation, self._inputs.priors)
-        self._bank.begin()
-        self.stated["inertia_kg_m2"] = 0.0
-        self._lose(lost=True)  # the motion, not the estimate of the shaft
-
-    def _lose(self, *, lost: bool) -> None:
-        self._inputs.arrays.s["lost"] = lost
-
-    def _state_estimate(self) -> None:
-        _act(_STATE, 0.0, 0.0, 0.0, self.table)
-
-    def update(self, sample: ShaftSample) -> ShaftEstimate:
-        """Step every hypothesis and add the births of the next."""
-        measured = sample.position_rad, sample.torque_Nm, sample.ripple_Nm
-        return self.go_on_from(_act(_TAKE, *measured, self.table), sample)
-
-    def go_on_from(self, stage: int, sample: ShaftSample) -> ShaftEstimate:
-        """Run the interpreted rest of a cycle after `take_next`."""
-        if stage == NOT_NEXT:
-            self._update(sample)
-        elif stage == MISLED:
-            self._begin()
-        if stage != TAKEN:
-            self._state_estimate()
+    def _act(self, what: int, *values: float) -> ShaftEstimate:
+        _act(what, (*map(float, values), *(0.0,) * (3 - len(values))), self._table)
         return self.estimate
 
-    def _update(self, sample: ShaftSample) -> None:
-        usable = self._inputs.update(sample)
-        if self._inputs.lost:
-            self._lose(lost=True)
-        if not usable:
-            return
-        if self._inputs.arrays.s["lost"][0] or self._inputs.in_doubt:
-            speed = self._inputs.speed_rad_s
-            before_rad = sample.position_rad - self._inputs.duration_s * speed
-            self._bank.z[motion_filter.X], self._bank.z[motion_filter.V] = before_rad, speed
-            motion_filter.lose_motion(self._bank, _PLACED_RAD2)
-            self._lose(lost=False)
-        self._bank.births["cycle"] += 1.0
-        self._put_priors(sample.cycle_s)
-        # No shaft turns against its torque: an invalid estimate was misled, e.g. by a strong ripple that the model
-        # lacks.
-        if _act(_STEP, 0.0, 0.0, 0.0, self.table) == MISLED:
-            self._begin()
+    def set_cycle_time(self, cycle_s: float) -> None:
+        """Set the cycle time of the bus."""
+        if self.arrays.inputs.s["cycle_s"][0] != cycle_s:
+            balance.set_cycle_time(self.arrays.inputs, cycle_s)
 
-    def _put_priors(self, cycle_s: float) -> None:
-        """Set the birth priors for the time from the previous sample to the last."""
-        c, births = self._config, self._bank.births
-        if self._cycle_s != cycle_s:
-            self._bank.set_priors(c.jumps_per_s, c.drift_onsets_per_s, cycle_s)
-            self._figures["log_jump"], self._figures["log_drift"] = births["log_jump"], births["log_drift"]
-            self._cycle_s = cycle_s
-        self._bank.set_priors(c.jumps_per_s, c.drift_onsets_per_s, self._inputs.duration_s)
+    def update(self, sample: ShaftSample) -> ShaftEstimate:
+        """Take a sample."""
+        self.set_cycle_time(sample.cycle_s)
+        return self._act(_UPDATE, sample.position_rad, sample.torque_Nm, sample.ripple_Nm)
 
     def miss(self, duration_s: float) -> ShaftEstimate:
         """Skip a cycle without sample: the next one is compared over all the time since the last."""
-        self._inputs.miss()
-        return self._less_sure(duration_s)
+        return self._act(_MISS, duration_s)
 
     def hold(self, duration_s: float) -> ShaftEstimate:
         """Hold the estimate over a time without usable sample, deviation growing; the motion is initialized anew."""
-        self._inputs.interrupt()
-        return self._less_sure(duration_s)
+        return self._act(_HOLD, duration_s)
 
     def known(self) -> Known:
         """Checkpoint of the present estimate, for `go_back`."""
@@ -282,33 +248,19 @@ class InertiaEstimator:
         """Restore a checkpoint; the motion is initialized anew."""
         for now, then in zip(self._kept(), known, strict=True):
             now[:] = then
-        self._inputs.interrupt()
-        self._lose(lost=True)
-        self._state_estimate()
-        return self.estimate
+        return self.hold(0.0)
 
     def _kept(self) -> Known:
-        return Known(self._bank.z, self._bank.p, self._bank.hypotheses, self._bank.out, self._bank.births)
-
-    def _less_sure(self, duration_s: float) -> ShaftEstimate:
-        if self._inputs.lost:
-            self._lose(lost=True)
-        added = (0.01 * self._config.hold_growth_pct_per_s) ** 2 * duration_s
-        bound, variances = (0.01 * self._config.jump_pct) ** 2, self._bank.p[kalman.BETA, kalman.BETA]
-        variances += added * np.maximum(1.0 - variances / bound, 0.0)
-        out = self._bank.out
-        variance = out[1, kalman.BETA] ** 2
-        out[1, kalman.BETA] = sqrt(variance + added * max(1.0 - variance / bound, 0.0))
-        self._state_estimate()
-        return self.estimate
+        b = self.arrays.bank
+        return b.z, b.p, b.hypotheses, b.out, b.births
 
     @property
     def estimate(self) -> ShaftEstimate:
         """Estimate of the last cycle."""
         inertia_kg_m2, deviation_kg_m2, separable, *_ = self.stated.item()
-        mean, deviation, _ = self._bank.out[:, kalman.Q :]
-        values, deviations = mean + self._figures["of_model"][0], deviation.tolist()
-        priors = self._inputs.priors.tolist()
+        mean, deviation, _ = self.arrays.bank.out[:, kalman.Q :]
+        values, deviations = mean + self.arrays.figures["of_model"][0], deviation.tolist()
+        priors = self.arrays.inputs.u["priors"][0].tolist()
         rows = zip(_NAMES, values.tolist(), deviations, priors, strict=True)
         also = tuple([Nuisance(n, v, d, d < SEPARABLE * prior) for n, v, d, prior in rows if prior > 0.0])
         return ShaftEstimate(inertia_kg_m2, deviation_kg_m2, separable != 0.0, also)

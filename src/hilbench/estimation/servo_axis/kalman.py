@@ -22,7 +22,7 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import Record, compiled, inlined
+from hilbench.compiled import Record, compiled
 from hilbench.estimation.bank import BankArrays
 from hilbench.estimation.motion_filter import COMMON, NUISANCE, PARAMETER, X, advance
 
@@ -43,18 +43,6 @@ INPUTS: Final = np.dtype(
 )
 #: Least β: no shaft is 50 times as heavy as the model's. Where the mixture is not above it the estimate is invalid.
 LEAST_BETA = 0.02
-
-
-@inlined
-def _known_variance(acceleration_rad_s2: float, dt_s: float, position_variance: float) -> float:
-    """Variance of the innovations of a steady filter of position and speed, acceleration and position noisy.
-
-    The closed form of Kalata (1984) by the tracking index.
-    """
-    index = acceleration_rad_s2 * dt_s * dt_s / sqrt(position_variance)
-    # (4 + Λ − √(Λ² + 8Λ))/4, without the cancellation at large Λ.
-    root = 4.0 / (4.0 + index + sqrt(index * index + 8.0 * index))
-    return position_variance / (root * root)
 
 
 @compiled
@@ -80,6 +68,10 @@ def step(b: BankArrays, u: Record) -> None:
     for i in range(z.shape[1]):
         b.likelihoods[i] = 0.0
         if u.acceleration_rad_s2 != 0.0:
-            known = _known_variance(per_torque[i] * sqrt(u.torque_variance), dt, u.position_variance)
+            # Variance of the innovations of a steady filter of position and speed, acceleration and position noisy: the
+            # closed form of Kalata (1984) by the tracking index Λ, without the cancellation of (4 + Λ − √(Λ² + 8Λ))/4.
+            index = per_torque[i] * sqrt(u.torque_variance) * dt * dt / sqrt(u.position_variance)
+            root = 4.0 / (4.0 + index + sqrt(index * index + 8.0 * index))
+            known = u.position_variance / (root * root)
             variance = variances[i]
             b.likelihoods[i] = -0.5 * (innovation[i] * innovation[i] / variance + log(variance / known))

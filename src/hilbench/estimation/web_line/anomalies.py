@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import Record, compiled, inlined
+from hilbench.compiled import Record, compiled, inlined, record_type
 from hilbench.estimation import ring
 from hilbench.estimation.assumptions import CERTAIN
 from hilbench.estimation.problems import Problem
@@ -37,7 +37,7 @@ LEAST_SHARE = 0.125
 #: is judged: a fifth of this, from a mass and a lag known to a tenth each, makes a whole web look broken.
 _MOTION = 4.0
 #: Change of the ratio against that of so many blocks before (a median of three) that starts an evaluation.
-_CHANGED, _BEFORE = 0.05, 12
+_CHANGED, BEFORE = 0.05, 12
 #: Blocks after which an immediate change is complete, and a single outlier block is in no ratio any more.
 _SETTLED = 2
 #: Transported length, in spans, from a change to its judgement.
@@ -56,28 +56,20 @@ _WEB_BREAK, _SLIP = int(Problem.WEB_BREAK), int(Problem.SLIP)
 _NONE = -1.0
 #: Number of ratios that are noted for their range: a span's length after length, while an initial difference leaves.
 _NOTED: Final = round(PASSED_SPANS / _NOTED_EVERY)
+#: State: E that the ratio is formed with; length of the span; least tension by the strain; the block before; the usual
+#: tension, and the mean square of the difference of two blocks' tensions; travel since a change that is not judged yet;
+#: what is left until a change counts; ratios before a change and soon after it; least ratio that was noted. Then the
+#: ratios of the blocks before, and those noted for their range.
 ANOMALIES: Final = np.dtype(
     [
-        ("modulus_Pa", "f8"),  # what the ratio is formed with
-        ("span_m", "f8"),
-        ("least_N", "f8"),  # least tension by the strain
-        ("has_last", "f8"),  # the block before this one
-        ("last_N", "f8"),
-        ("last_per_Pa", "f8"),
-        ("usual_N", "f8"),
-        ("scatter_N2", "f8"),  # mean square of the difference of two blocks' tensions
-        ("since_change_m", "f8"),  # travel since a change that is not judged yet
-        ("quiet_m", "f8"),
-        ("ratio_before", "f8"),
-        ("ratio_at_once", "f8"),
-        ("since_noted_m", "f8"),
-        ("least", "f8"),
-        ("settling", "f8"),
-        ("broken_now", "f8"),
-        ("slipping", "f8"),
-        ("before", RING),  # of `ratios`: those of the blocks before
-        ("ratios", "f8", (_BEFORE,)),
-        ("noted", RING),  # of `swung`
+        *record_type(
+            *("modulus_Pa", "span_m", "least_N", "has_last", "last_N", "last_per_Pa", "usual_N", "scatter_N2"),
+            *("since_change_m", "quiet_m", "ratio_before", "ratio_at_once", "since_noted_m", "least", "settling"),
+            *("broken_now", "slipping"),
+        ).descr,
+        ("before", RING),
+        ("ratios", "f8", (BEFORE,)),
+        ("noted", RING),
         ("swung", "f8", (_NOTED,)),
     ]
 )
@@ -152,7 +144,7 @@ def _look_for_slip(s: Record, ratio: float, sure: float, moved_m: float) -> None
     elif s.quiet_m > 0.0:
         s.quiet_m -= moved_m
         ring.clear(s.before)
-    elif s.before.count == _BEFORE and abs(ratio / _ratio_before(s) - 1.0) > max(_CHANGED, sure):
+    elif s.before.count == BEFORE and abs(ratio / _ratio_before(s) - 1.0) > max(_CHANGED, sure):
         before = _ratio_before(s)
         s.since_change_m = 0.0
         s.ratio_before = before
@@ -165,7 +157,7 @@ def _look_for_slip(s: Record, ratio: float, sure: float, moved_m: float) -> None
         s.settling = _SETTLED
         ring.clear(s.before)
     else:
-        s.ratios[ring.push(s.before, _BEFORE)] = ratio
+        s.ratios[ring.push(s.before, BEFORE)] = ratio
     if not is_judging(s) and s.since_noted_m > _NOTED_EVERY * s.span_m:
         s.since_noted_m = 0.0
         s.swung[ring.push(s.noted, _NOTED)] = ratio
@@ -175,9 +167,9 @@ def _look_for_slip(s: Record, ratio: float, sure: float, moved_m: float) -> None
 def _ratio_before(s: Record) -> float:
     """Median of three old ratios, of which an outlier block is in one at most."""
     first, ratios = s.before, s.ratios
-    a = ratios[ring.place(first, _BEFORE, 0)]
-    b = ratios[ring.place(first, _BEFORE, _SETTLED)]
-    c = ratios[ring.place(first, _BEFORE, 2 * _SETTLED)]
+    a = ratios[ring.place(first, BEFORE, 0)]
+    b = ratios[ring.place(first, BEFORE, _SETTLED)]
+    c = ratios[ring.place(first, BEFORE, 2 * _SETTLED)]
     return float(max(min(a, b), min(max(a, b), c)))
 
 

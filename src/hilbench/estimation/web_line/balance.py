@@ -131,26 +131,6 @@ def _follow_to(balance: BalanceVectors, x1_m: float, x2_m: float, duration_s: fl
 
 
 @compiled
-def _put_boundary(
-    balance: BalanceVectors, strain_prev: float, f_next_N: float, strain_next: float, creep_ratio_prev: float
-) -> None:
-    """Set inlet strain, outlet tension and strain, and creep ratio at roller 1; recomputes the tension.
-
-    `creep_ratio_prev`: share by which the web before the line pulls the web back over the first roller. What enters has
-    that in its strain; in reverse so much more leaves than the roller turns.
-    """
-    p, s, u, w, out = balance.web
-    balance.s.creep_ratio_prev = creep_ratio_prev
-    changed = u[lay.U_STRAIN_PREV] != strain_prev or balance.s.F_next_N != f_next_N
-    u[lay.U_STRAIN_PREV], balance.s.F_next_N = strain_prev, f_next_N
-    # Strain of the web after roller 2 is its tension over its stiffness; without tension any force without effect does.
-    u[lay.U_F_NEXT_N] = f_next_N if f_next_N != 0.0 else strain_next
-    p[lay.W_DOWNSTREAM_STIFFNESS_N] = f_next_N / strain_next if f_next_N != 0.0 else 1.0
-    if changed:
-        line_kernel.observe(p, s, u, w, out)
-
-
-@compiled
 def use_modulus(balance: BalanceVectors, youngs_modulus_Pa: float) -> None:
     """Set E for the web's creep and damping."""
     at = modulus_place(balance.web.p)
@@ -166,33 +146,34 @@ def creep_per_N(balance: BalanceVectors) -> float:
 
 @compiled
 def momentum_balance(
-    balance: BalanceVectors,
-    x1_m: float,
-    x2_m: float,
-    torque_Nm: float,
-    strain_prev: float,
-    F_next_N: float,
-    behind_N: float,
-    strain_next: float,
-    creep_ratio_prev: float,
-    duration_s: float,
+    balance: BalanceVectors, x1_m: float, x2_m: float, torque_Nm: float, around: tuple[float, ...], duration_s: float
 ) -> None:
     """Compute the balance at this SYNC into the state, `duration_s` after the last; positions at the web, torque at the
     motor.
 
-    `behind_N`, `strain_next`: tension and strain of the web after roller 2; of several rollers as one the tension is
-    not `F_next_N`, which is after the last of them. `creep_ratio_prev`: as in `_put_boundary`.
+    `around`: inlet strain; tension after the line; tension and strain of the web after roller 2; creep ratio at roller
+    1: share by which the web before the line pulls the web back over the first roller. What enters has that in its
+    strain; in reverse so much more leaves than the roller turns.
     """
+    p, web, u, w, out = balance.web
+    strain_prev, F_next_N, behind_N, strain_next, creep_ratio_prev = around
     s, velocity_m_s = balance.s, 0.0
     if s.started == _FOLLOWS:
         _follow_to(balance, x1_m, x2_m, duration_s)
         velocity_m_s = (x2_m - s.before_m) / duration_s
-    _put_boundary(balance, strain_prev, behind_N, strain_next, creep_ratio_prev)
+    s.creep_ratio_prev = creep_ratio_prev
+    changed = u[lay.U_STRAIN_PREV] != strain_prev or s.F_next_N != behind_N
+    u[lay.U_STRAIN_PREV], s.F_next_N = strain_prev, behind_N
+    # Strain of the web after roller 2 is its tension over its stiffness; without tension any force without effect does.
+    u[lay.U_F_NEXT_N] = behind_N if behind_N != 0.0 else strain_next
+    p[lay.W_DOWNSTREAM_STIFFNESS_N] = behind_N / strain_next if behind_N != 0.0 else 1.0
+    if changed:
+        line_kernel.observe(p, web, u, w, out)
     s.started = _FOLLOWS
     s.before_m = x2_m
     s.x2_m = x2_m
     s.force_N = measured_force_N(balance.p, torque_Nm, x2_m, velocity_m_s, F_next_N)
-    s.web_per_Pa = tension_N(balance) / balance.web.p[modulus_place(balance.web.p)]
+    s.web_per_Pa = tension_N(balance) / p[modulus_place(p)]
     s.velocity_m_s = velocity_m_s
 
 

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import Record, Vector, compiled, inlined
+from hilbench.compiled import Record, Vector, compiled, inlined, record_type
 
 #: Length of a block: short against the strain's transition to a new value, and against a stop.
 BLOCK_S = 0.02
@@ -24,30 +24,17 @@ _LONGEST = 3.0
 #: too slow.
 ENDS = 3
 
-#: State of the block being collected, with its first and last speeds (m/s) and their cycles; then the last complete
-#: block, valid in the cycle that completed it.
+#: State of the block being collected: its cycles, with missing ones `lasted`; its first and last speeds (m/s) and their
+#: cycles. Then the last complete block, valid in the cycle that completed it: force without the inertial force, and the
+#: larger of that and the force's range within the block (`motion_N`).
 BLOCK: Final = np.dtype(
     [
-        ("mass_kg", "f8"),
-        ("cycle_s", "f8"),
-        ("cycles", "f8"),
-        ("collected", "f8"),
-        ("lasted", "f8"),  # cycles, including missing ones
-        ("force_sum_N", "f8"),
-        ("web_sum", "f8"),
-        ("after_gap", "f8"),
-        ("low_N", "f8"),
-        ("high_N", "f8"),
-        ("first_m_s", "f8", (ENDS,)),
-        ("first_at", "f8", (ENDS,)),
-        ("last_m_s", "f8", (ENDS,)),
-        ("last_at", "f8", (ENDS,)),
-        ("ready", "f8"),
-        ("force_N", "f8"),  # without the inertial force
-        ("web_per_Pa", "f8"),
-        ("velocity_m_s", "f8"),
-        ("duration_s", "f8"),
-        ("motion_N", "f8"),  # larger of the inertial force and the force's range within the block
+        *record_type(
+            "mass_kg", "cycle_s", "cycles", "collected", "lasted", "force_sum_N", "web_sum", "after_gap"
+        ).descr,
+        *record_type("low_N", "high_N").descr,
+        *[(name, "f8", (ENDS,)) for name in ("first_m_s", "first_at", "last_m_s", "last_at")],
+        *record_type("ready", "force_N", "web_per_Pa", "velocity_m_s", "duration_s", "motion_N").descr,
     ]
 )
 
@@ -104,12 +91,6 @@ def take(s: Record, force_N: float, web_per_Pa: float, velocity_m_s: float) -> b
     s.collected += 1.0
     if s.collected < s.cycles:
         return False
-    _complete(s, velocity_m_s)
-    return True
-
-
-@inlined
-def _complete(s: Record, velocity_m_s: float) -> None:
     count = s.collected
     if count > ENDS:
         gained_m_s = _middle(s.last_m_s) - _middle(s.first_m_s)
@@ -125,6 +106,7 @@ def _complete(s: Record, velocity_m_s: float) -> None:
     s.duration_s = s.lasted * s.cycle_s
     begin(s)
     s.ready = 1.0
+    return True
 
 
 @inlined

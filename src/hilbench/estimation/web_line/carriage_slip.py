@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from math import inf
-from typing import Final, NamedTuple
+from typing import Final
 
 #: Share of lost web, over the usual strain, from which on it slips, and below which it no longer does.
 _SLIPS, _ENDS = 2.0, 1.0
@@ -17,12 +17,6 @@ _SLIPS, _ENDS = 2.0, 1.0
 _ROOM_M: Final = 3e-4
 #: Travel between records of the loss, as a share of the section's length.
 _KEPT_EVERY: Final = 0.05
-
-
-class _Kept(NamedTuple):
-    time_s: float
-    travel_m: float
-    lost_m: float
 
 
 class CarriageSlip:
@@ -34,7 +28,8 @@ class CarriageSlip:
 
     def reset(self) -> None:
         """Forget all records."""
-        self._kept: deque[_Kept] = deque()
+        #: Time, travel and loss of each record.
+        self._kept: deque[tuple[float, float, float]] = deque()
         self._travel_m = self._lost_m = 0.0
         self.since_s = inf  #: latest time without slip; inf if nothing slips
         self._judged_m = 0.0  # travel at detection
@@ -44,25 +39,23 @@ class CarriageSlip:
         web length added by its carriage."""
         self._travel_m += abs(behind_m)
         self._lost_m += before_m - behind_m - room_m
-        while len(self._kept) > 1 and self._kept[1].travel_m <= self._travel_m - self._length_m:
+        while len(self._kept) > 1 and self._kept[1][1] <= self._travel_m - self._length_m:
             self._kept.popleft()
-        if not self._kept or self._travel_m - self._kept[-1].travel_m >= _KEPT_EVERY * self._length_m:
+        if not self._kept or self._travel_m - self._kept[-1][1] >= _KEPT_EVERY * self._length_m:
             self._judge()
-            self._kept.append(_Kept(time_s, self._travel_m, self._lost_m))
+            self._kept.append((time_s, self._travel_m, self._lost_m))
 
     def allow(self) -> None:
         """Attribute the loss up to now to the strain of a changed web."""
-        self._kept = deque(each._replace(lost_m=self._lost_m) for each in self._kept)
+        self._kept = deque((time_s, travel_m, self._lost_m) for time_s, travel_m, _ in self._kept)
 
     def _judge(self) -> None:
-        if not self._kept:
-            return
         if self.since_s == inf:
             if any(self._is_lost(each, _SLIPS, self._unsure_m) for each in self._kept):
-                self.since_s, self._judged_m = self._kept[0].time_s, self._travel_m
+                self.since_s, self._judged_m = self._kept[0][0], self._travel_m
         elif self._travel_m - self._judged_m > self._length_m and not self._is_lost(self._kept[0], _ENDS, 0.0):
             self.since_s = inf
 
-    def _is_lost(self, since: _Kept, strains: float, unsure_m: float) -> bool:
-        most_m = strains * self._strain * (self._travel_m - since.travel_m) + unsure_m
-        return abs(self._lost_m - since.lost_m) > most_m
+    def _is_lost(self, since: tuple[float, float, float], strains: float, unsure_m: float) -> bool:
+        _, travel_m, lost_m = since
+        return abs(self._lost_m - lost_m) > strains * self._strain * (self._travel_m - travel_m) + unsure_m

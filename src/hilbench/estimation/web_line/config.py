@@ -98,14 +98,19 @@ class PidConfig(EstimateConfig):
     upper_limit_Pa: Modulus = Field(default=1.0e11, description="largest E it gives")
 
 
-class OnBalance(EstimateConfig):
-    """Common settings of the methods on the measured momentum balance of axis 2."""
+class Measured(EstimateConfig):
+    """Common settings of the methods with a deviation of E."""
 
     torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")
     initial_deviation_pct: PositiveFloat = Field(default=20.0, description="of E at the start")
     hold_growth_pct_per_s: PositiveFloat = Field(
         default=2.0, description="growth of the deviation, as a random walk, while there is no usable sample"
     )
+
+
+class OnBalance(Measured):
+    """Common settings of the methods on the measured momentum balance of axis 2."""
+
     also: AlsoEstimated = AlsoEstimated()
 
 
@@ -157,24 +162,19 @@ class ChangepointConfig(OnBalance):
     wander_pct_per_sqrt_s: float = Field(default=0.02, ge=0, description="random walk of E at all times")
 
 
-class InputConfig(EstimateConfig):
+class InputConfig(Measured):
     """For a black-box model: the strain of the web that enters it is corrected; its parameters stay.
 
     Measured states are not transferred into it either.
     """
 
     method: Literal["input"] = "input"
-    torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")
     observer_s: PositiveFloat = Field(default=0.1, description="time constant with which the correction is found")
     agreement_per_s: PositiveFloat = Field(
         default=20.0, description="rate with which the simulated tension is brought to the measured one"
     )
     limit_share: float = Field(
         default=0.9, gt=0, lt=1, description="largest correction that acts, as a share of the upstream strain"
-    )
-    initial_deviation_pct: PositiveFloat = Field(default=20.0, description="of E at the start")
-    hold_growth_pct_per_s: PositiveFloat = Field(
-        default=2.0, description="growth of the deviation, as a random walk, while there is no usable sample"
     )
 
 

@@ -40,11 +40,6 @@ class Strains:
     mean: Array
     covariance: Array
 
-    def of_others(self, span: int) -> Strains:
-        """Estimate without that of a span, from 0."""
-        others = np.delete(np.arange(len(self.mean)), span)
-        return Strains(self.mean[others], self.covariance[np.ix_(others, others)])
-
 
 class InitialStrains:
     """Shares of unknown strains in a line of spans of these lengths (K,), counted from 0; `creep_per_N` (K,): over the
@@ -124,9 +119,7 @@ def initial_strains(model: ModelParameters) -> InitialStrains:
     """Initial strains of a line, E as in the model."""
     spans = range(1, model.span_count + 1)
     return InitialStrains(
-        [model.span_length_m(span) for span in spans],
-        creeps_per_N(model),
-        [model.stiffness_N(span) for span in spans],
+        [model.span_length_m(span) for span in spans], creeps_per_N(model), [model.stiffness_N(span) for span in spans]
     )
 
 

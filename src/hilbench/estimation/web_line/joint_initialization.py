@@ -174,11 +174,14 @@ class JointInitialization:
 
     def _of_others(self) -> Array:
         """Information (U, U) on the other strains: E·δ less E times the estimate of δ is 0."""
-        known = self._webs.estimate_before(self._span).of_others(self._span)
+        known, at = self._webs.estimate_before(self._span), self._others
         share = 1.0 if self.found is None else self.found.youngs_modulus_Pa / self._plant.youngs_modulus_Pa
-        conditions = np.zeros((len(self._others), self._unknowns))
-        conditions[:, _MODULUS], conditions[:, _OTHERS:] = -known.mean, np.eye(len(self._others))
-        return np.asarray(conditions.T @ np.linalg.solve(known.covariance, conditions)) / max(share, _LEAST_SHARE) ** 2
+        conditions = np.zeros((len(at), self._unknowns))
+        conditions[:, _MODULUS], conditions[:, _OTHERS:] = -known.mean[at], np.eye(len(at))
+        return (
+            np.asarray(conditions.T @ np.linalg.solve(known.covariance[np.ix_(at, at)], conditions))
+            / max(share, _LEAST_SHARE) ** 2
+        )
 
     def _solved(self, gain: float) -> InitialWeb:
         """Solution of the least squares; noise after the filter is scaled to that before it."""
@@ -196,7 +199,10 @@ class JointInitialization:
         share_sd, _, friction_sd, _ = np.sqrt(np.diag(covariance))[:_OTHERS].tolist()
         strain_error = strain_sd = inf
         if share > 0.0:
-            self._publish_strains(theta, covariance)
+            # The next span is told the estimate of all δ.
+            mean, slopes = theta[self._strains] / share, np.zeros((len(self._strains), self._unknowns))
+            slopes[np.arange(len(mean)), self._strains], slopes[:, _MODULUS] = 1.0 / share, -mean / share
+            self._webs.estimates[self._span] = Strains(mean, slopes @ covariance @ slopes.T)
             # Sensitivities of the strain's error to the unknowns, whose errors correlate.
             slope, at, left = np.zeros(self._unknowns), self._strains, self._left
             slope[at] = self._scale * left / share
@@ -210,11 +216,3 @@ class JointInitialization:
             theta[_FRICTION].item() * self._force_N,
             friction_sd * self._force_N,
         )
-
-    def _publish_strains(self, theta: Array, covariance: Array) -> None:
-        """Publish the estimate of all δ for the next span."""
-        at, share = self._strains, theta[_MODULUS]
-        mean = theta[at] / share
-        slopes = np.zeros((len(at), self._unknowns))
-        slopes[np.arange(len(at)), at], slopes[:, _MODULUS] = 1.0 / share, -mean / share
-        self._webs.estimates[self._span] = Strains(mean, slopes @ covariance @ slopes.T)

@@ -72,7 +72,7 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
         spent_ns += time.thread_time_ns() - before_ns
         estimate = tracking.estimate
         modulus[row], deviation[row] = estimate.youngs_modulus_Pa, estimate.deviation_Pa
-        residual[row] = tracking.residual_Nm
+        residual[row] = tracking.state["residual_Nm"]
         for nuisance in estimate.nuisances:
             values = others.setdefault(nuisance.name, (np.full(n, np.nan), np.full(n, np.nan)))
             values[0][row], values[1][row] = nuisance.value, nuisance.deviation

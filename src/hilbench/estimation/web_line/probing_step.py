@@ -55,19 +55,6 @@ class DriveLoop:
     sample_s: float
     deviation: float
 
-    @property
-    def acting_kp_N_s_per_m(self) -> float:
-        """Effective kp at a slow change of speed: a lagging integral lacks a part proportional to the speed error.
-
-        The hold of half a sample is compensated by the last error, which a sampled integral already contains.
-        """
-        return self.kp_N_s_per_m - self.ki_N_per_m * self.current_loop_s
-
-    @property
-    def acting_mass_kg(self) -> float:
-        """Force per acceleration by kp's lag."""
-        return self.kp_N_s_per_m * (self.current_loop_s + 0.5 * self.sample_s)
-
 
 @dataclass(frozen=True, slots=True)
 class KnownTension:
@@ -156,7 +143,10 @@ class ProbingStep:
         before, at = self._values[0], self._values[1]
         web, force_N, held_N = (0.5 * (one + other) for one, other in zip(before, at, strict=True))
         if self._loop is not None:  # the set-point is constant: its part is, too
-            held_N -= self._loop.acting_kp_N_s_per_m * speed_m_s
+            # A lagging integral lacks a part proportional to the speed error. The hold of half a sample is compensated
+            # by the last error, which a sampled integral already contains.
+            kp_N_s_per_m = self._loop.kp_N_s_per_m - self._loop.ki_N_per_m * self._loop.current_loop_s
+            held_N -= kp_N_s_per_m * speed_m_s
         self._sums = (self._sums[0] + web, self._sums[1] + force_N, self._sums[2] + held_N)
         self._count += 1
         if self._count < self._cycles:
@@ -164,45 +154,38 @@ class ProbingStep:
         taken_N = self._mass_kg * (speed_m_s - self._first_m_s) / (self._count * self._cycle_s)
         web, force_N, held_N = (total / self._count for total in self._sums)
         if self._loop is not None:
-            held_N += self._loop.acting_mass_kg / self._mass_kg * taken_N
+            lag_kg = self._loop.kp_N_s_per_m * (self._loop.current_loop_s + 0.5 * self._loop.sample_s)
+            held_N += lag_kg / self._mass_kg * taken_N
         self._blocks.append((web, force_N - taken_N, held_N))
         self._begin(speed_m_s)
         return self._known() if len(self._blocks) >= _LEAST_BLOCKS else None
 
     def _known(self) -> KnownTension:
         blocks = np.array(self._blocks)
-        measured = _Slope.of(blocks[:, 0], blocks[:, 1])
-        best = measured
+        slope_Pa, deviation_Pa = _slope(blocks[:, 0], blocks[:, 1])
         if self._loop is not None:
-            by_loop = _Slope.of(blocks[:, 0], blocks[:, 1] + blocks[:, 2])
-            deviation_Pa = hypot(by_loop.deviation_Pa, self._loop.deviation * by_loop.slope_Pa)
-            apart_Pa = abs(by_loop.slope_Pa - measured.slope_Pa)
-            if apart_Pa <= _AGREE * hypot(deviation_Pa, measured.deviation_Pa) and deviation_Pa < measured.deviation_Pa:
-                best = _Slope(by_loop.slope_Pa, deviation_Pa)
+            by_loop_Pa, of_loop_Pa = _slope(blocks[:, 0], blocks[:, 1] + blocks[:, 2])
+            of_loop_Pa = hypot(of_loop_Pa, self._loop.deviation * by_loop_Pa)
+            if abs(by_loop_Pa - slope_Pa) <= _AGREE * hypot(of_loop_Pa, deviation_Pa) and of_loop_Pa < deviation_Pa:
+                slope_Pa, deviation_Pa = by_loop_Pa, of_loop_Pa
         # The constant is that of the measured torque: the loop has only the changes.
-        constant_N = float(np.mean(blocks[:, 1] - best.slope_Pa * blocks[:, 0]))
-        return KnownTension(best.slope_Pa, best.deviation_Pa, constant_N)
+        constant_N = float(np.mean(blocks[:, 1] - slope_Pa * blocks[:, 0]))
+        return KnownTension(slope_Pa, deviation_Pa, constant_N)
 
 
-@dataclass(frozen=True, slots=True)
-class _Slope:
-    slope_Pa: float
-    deviation_Pa: float
-
-    @classmethod
-    def of(cls, web_per_Pa: np.ndarray, force_N: np.ndarray) -> _Slope:
-        """Slope of the force (n,) against h (n,), after a constant and a trend."""
-        count = len(force_N)
-        trend = np.column_stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
-        # Constant and trend are projected out of both; the rest is a line through the origin.
-        both = np.column_stack([web_per_Pa, force_N])
-        both = both - trend @ np.linalg.lstsq(trend, both, rcond=None)[0]
-        size = float(both[:, 0] @ both[:, 0])
-        if size == 0.0:
-            return cls(0.0, np.inf)
-        slope = float(both[:, 0] @ both[:, 1]) / size
-        left = both[:, 1] - slope * both[:, 0]
-        return cls(slope, sqrt(float(left @ left) / (count - 3) / size))
+def _slope(web_per_Pa: np.ndarray, force_N: np.ndarray) -> tuple[float, float]:
+    """Slope of the force (n,) against h (n,), after a constant and a trend, and its deviation."""
+    count = len(force_N)
+    trend = np.column_stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
+    # Constant and trend are projected out of both; the rest is a line through the origin.
+    both = np.column_stack([web_per_Pa, force_N])
+    both = both - trend @ np.linalg.lstsq(trend, both, rcond=None)[0]
+    size = float(both[:, 0] @ both[:, 0])
+    if size == 0.0:
+        return 0.0, np.inf
+    slope = float(both[:, 0] @ both[:, 1]) / size
+    left = both[:, 1] - slope * both[:, 0]
+    return slope, sqrt(float(left @ left) / (count - 3) / size)
 
 
 def new_probing_step(

@@ -16,11 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import (
-    Reals,
-    Reals2,
-    compiled,
-)
+from hilbench.compiled import Reals, Reals2, compiled
 from hilbench.estimation.web_line.balance import mass_at_web_kg, measured_force_N
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
 from hilbench.plant.web_line import layout as lay
@@ -84,10 +80,6 @@ class Rollers:
     def reset(self) -> None:
         """Take the next positions as the first."""
         self.arrays.started[0] = 0.0
-
-    def masses_behind_kg(self, axis: int) -> list[float]:
-        """Masses at the web of the rollers after that of `axis`, from 2."""
-        return [float(mass_kg) for mass_kg in self.arrays.masses_kg[axis - 1 :]]
 
 
 def two_rollers(model: ModelParameters, span: int, masses_behind_kg: Sequence[float] = ()) -> ModelParameters:

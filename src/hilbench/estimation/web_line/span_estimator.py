@@ -5,6 +5,7 @@ Used by the twin on the bus and for recordings.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
 from math import hypot, inf, nan
@@ -29,16 +30,16 @@ from hilbench.estimation.web_line.config import (
 )
 from hilbench.estimation.web_line.initial_strains import SLOW_M_S, InitialStrains, initial_strains
 from hilbench.estimation.web_line.joint_initialization import InitialWeb, JointInitialization
-from hilbench.estimation.web_line.measured_span import MeasuredSpan
 from hilbench.estimation.web_line.probing_step import new_probing_step
-from hilbench.estimation.web_line.span_model import SpanModel
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, Synchronizer, SyncSample
 from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSynchronizer
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.unmodelled_effects import UnmodelledEffects
 from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
+from hilbench.plant.web_line.splices import Piece
 
 #: Uncertainty (relative) of the upstream strain as a guess of the strain of a web that is first seen running, and at
 #: rest, where it may be strained by anything.
@@ -65,22 +66,32 @@ class Known(NamedTuple):
 
 
 class SpanEstimator:
-    """Estimates E of `line` from the measured momentum balance; transfers measured states to it.
+    """Estimates E of a span (from 1) of `line` from the measured momentum balance; transfers measured states to it.
 
-    Positions are at the web, torques at the motor.
+    `model`: of the roller before the span and all after it as one, as a line of two rollers; `along`: spans whose E
+    follows that of this one, in the ratio of the line's model. Positions are at the web, torques at the motor.
     """
 
     def __init__(
         self,
         model: ModelParameters,
         config: EstimationConfig,
-        line: SpanModel,
+        line: Line,
         cycle_s: float,
+        span: int = 1,
+        along: Sequence[int] = (),
     ) -> None:
         self.config = config
-        self._line = line
+        self._line, self.span = line, span
+        spans, modulus_Pa = [span, *along], line.parameters.youngs_modulus_Pa
+        #: As of `SpanEstimatorArrays`.
+        self._moduli = np.array(
+            [line.moduli[[k - 1 for k in spans]], [modulus_Pa(k) / modulus_Pa(span) for k in spans]]
+        )
         self._cycle_s = cycle_s
         self._balance = balance = MeasuredBalance(model)
+        #: Length between the rollers, and mass at the web of those after the span.
+        self.length_m, self.mass_kg = balance.span_length_m, balance.mass_kg
         self._initial_Pa = config.youngs_modulus_Pa or model.youngs_modulus_Pa(1)
         self._torque_limit_Nm = per_item(model.drives.torque_limit_Nm, 2) if model.drives else inf
         self._strain_prev = model.upstream_strain
@@ -88,35 +99,30 @@ class SpanEstimator:
             (e.parameters.get("delay_s", 0.0) for e in model.effects if (e.effect, e.axis) == ("torque_delay", 2)), 0.0
         )
         self._anomalies = anomalies.new_state(
-            model.youngs_modulus_Pa(1),
-            machine_sizes(model, 2).force_N,
-            model.span_length_m(1),
+            model.youngs_modulus_Pa(1), machine_sizes(model, 2).force_N, model.span_length_m(1)
         )
         self._blocks = block_means.new_state(balance.mass_kg, cycle_s)
         self._shift = torque_shift.new_state()
         self._delay_line = delay.new_line(cycle_s)
-        self._probing_step = new_probing_step(model, config, balance.mass_kg, cycle_s)
+        #: None: all state is in the arrays.
+        self.probing_step = new_probing_step(model, config, balance.mass_kg, cycle_s)
         self._model = model
         self._of_span = self._new_state()
-        self._t = self._of_span[0]
-        self.span = MeasuredSpan(balance, self._t)  #: with the web in it
+        self.state = self._t = self._of_span[0]  #: a `span_estimator_cycle.SPAN`
         self._errors: UnmodelledEffects | None = None
         self._synchronizer: Synchronizer
         self._nuisances: tuple[Nuisance, ...] | None = ()  # None: those that the bank has found
         self._input_strain: float | None = None
         # Without a bank, or without unmodelled effects, spare vectors fill the table.
-        self._spare_errors, self._spare_bank = self._new_errors(), self._new_bank(ChangepointConfig())
+        spare_bank = ChangepointSynchronizer(ChangepointConfig(), Plant.of(balance, self._initial_Pa))
+        self._spare_errors, self._spare_bank = self._new_errors(), spare_bank
         self.reset()
 
     def _new_state(self) -> NDArray[np.void]:
         state, config, balance = np.zeros(1, cycle.SPAN), self.config, self._balance
         t = state[0]
-        t["cycle_s"], t["force_per_torque"], t["section_m2"] = (
-            self._cycle_s,
-            balance.force_per_torque_per_m,
-            balance.section_m2,
-        )
-        t["span_m"], t["span"] = balance.span_length_m, self._line.first_axis
+        t["cycle_s"], t["force_per_torque"] = self._cycle_s, balance.force_per_torque_per_m
+        t["section_m2"], t["span_m"], t["span"] = balance.section_m2, balance.span_length_m, self.span - 1
         t["compensates"] = config.torque_shift != "ignore"
         t["finds_delay"] = config.torque_delay == "estimate"
         t["delayed"] = config.torque_delay == "estimate" or self._model_delay_s != 0.0
@@ -131,9 +137,6 @@ class SpanEstimator:
         priors = [prior for prior in config.priors if prior.axis == _AXIS]
         return UnmodelledEffects(config.model_errors, self._model, balance, self._initial_Pa, self._cycle_s, priors)
 
-    def _new_bank(self, config: ChangepointConfig) -> ChangepointSynchronizer:
-        return ChangepointSynchronizer(config, Plant.of(self._balance, self._initial_Pa))
-
     def _gather(self) -> None:
         """Collect the current state arrays and the table of their addresses."""
         errors, bank = self._errors or self._spare_errors, self._spare_bank
@@ -147,24 +150,15 @@ class SpanEstimator:
             self._shift,
             self._delay_line,
             self._delay_finder,
-            self._line.moduli,
+            self._moduli,
             self._balance.vectors,
             errors.state,
             bank.arrays,
             self._line.vectors,
             self._blocks,
         )
-        self._table = table_of(self._arrays)
-
-    @property
-    def table(self) -> NDArray[np.int64]:
-        """Addresses of the state arrays for `span_estimator_cycle.run_arrays`; replaced whenever the arrays are."""
-        return self._table
-
-    @property
-    def in_arrays(self) -> bool:
-        """True if no probing step is evaluated: all state is in the arrays."""
-        return self._probing_step is None
+        #: Addresses of the state arrays for `span_estimator_cycle.run_arrays`; replaced whenever the arrays are.
+        self.table: NDArray[np.int64] = table_of(self._arrays)
 
     @property
     def input_strain(self) -> float:
@@ -179,7 +173,7 @@ class SpanEstimator:
     def reset(self) -> None:
         """Reset the estimate, with E as assumed at the start."""
         t = self._t
-        self._line.set_parameter("youngs_modulus_Pa", self._initial_Pa)
+        self._line.vectors.p[self._moduli[0].astype(int)] = self._moduli[1] * self._initial_Pa
         if self.config.unmodelled_torque_Nm is None:
             self._errors = self._new_errors()
         self._look_anew()
@@ -211,7 +205,7 @@ class SpanEstimator:
         self._cycle_s = self._t["cycle_s"] = cycle_s
         self._blocks = block_means.new_state(self._balance.mass_kg, cycle_s)
         self._delay_line = delay.new_line(cycle_s)
-        self._probing_step = new_probing_step(self._model, self.config, self._balance.mass_kg, cycle_s)
+        self.probing_step = new_probing_step(self._model, self.config, self._balance.mass_kg, cycle_s)
         self._look_anew()
         self._go_back(known)
         if self._errors is not None:
@@ -221,19 +215,20 @@ class SpanEstimator:
         if self._search is not None:  # The search's samples were of another cycle time.
             self._find_web()
 
-    def release(self, strain_uncertainty: float = 0.0, webs: InitialStrains | None = None, place: int = 0) -> None:
+    def release(self, strain_uncertainty: float = 0.0, webs: InitialStrains | None = None) -> None:
         """Reset the web: strained as upstream but for an unknown share (relative). `webs`: initial strains of the line,
-        where it has several spans; `place`: index of this span in them, from 0."""
+        where it has several spans."""
         t = self._t
         self._balance.reset()
         self._forget(cycle.NEW_WEB)
         t["missed_s"] = t["measured"] = t["runs"] = t["refused"] = t["refused_m"] = t["creep_ratio"] = t["found"] = 0.0
-        if self._probing_step is not None:
-            self._probing_step.reset()
+        if self.probing_step is not None:
+            self.probing_step.reset()
         if self._errors is not None:
             self._errors.release()
         t["strain_uncertainty"] = strain_uncertainty
-        self._webs, self._place, self._unknown_share = webs or initial_strains(self._model), place, strain_uncertainty
+        self._webs, self._place = webs or initial_strains(self._model), self.span - 1 if webs else 0
+        self._unknown_share = strain_uncertainty
         self._search: JointInitialization | None = None
         if strain_uncertainty > 0.0 and not isinstance(self._method, PidConfig | InputConfig):
             self._find_web()
@@ -247,18 +242,18 @@ class SpanEstimator:
         self._t["bank"] = 0.0  # until the method starts from the result
 
     def _forget(self, what: int) -> None:
-        cycle.run_arrays(what, _NOTHING_MEASURED, self._table)
+        cycle.run_arrays(what, _NOTHING_MEASURED, self.table)
 
     def use(self, synchronizer: SynchronizerConfig | None) -> None:
         """Switch to another method (None: the configured one) from the present E, bumpless."""
         config, known = synchronizer or self.config.synchronizer, self.estimate
         if not isinstance(config, PidConfig):
-            share_pct = 100.0 * self._own_deviation_Pa / known.youngs_modulus_Pa
+            share_pct = 100.0 * float(self._t["own_deviation_Pa"]) / known.youngs_modulus_Pa
             known_pct = min(max(share_pct, _LEAST_PRIOR_PCT), config.initial_deviation_pct)
             config = config.model_copy(update={"initial_deviation_pct": known_pct})
         # A black box goes on with the model's own E.
         black_box = isinstance(config, InputConfig)
-        model_Pa = self._line.parameter("youngs_modulus_Pa")
+        model_Pa = self._line.vectors.p.item(int(self._moduli[0, 0]))
         self._begin(config, model_Pa if black_box else known.youngs_modulus_Pa)
 
     def _begin(self, config: SynchronizerConfig, youngs_modulus_Pa: float) -> None:
@@ -277,7 +272,7 @@ class SpanEstimator:
         self._nuisances, self._input_strain = estimate.nuisances, estimate.upstream_strain
         self._t["black_box"] = estimate.upstream_strain is not None
         stated = estimate.youngs_modulus_Pa, estimate.deviation_Pa
-        cycle.run_arrays(cycle.STATE, (*map(float, stated), *_NOTHING_MEASURED[2:]), self._table)
+        cycle.run_arrays(cycle.STATE, (*map(float, stated), *_NOTHING_MEASURED[2:]), self.table)
 
     @property
     def estimate(self) -> Estimate:
@@ -303,18 +298,9 @@ class SpanEstimator:
         return all(nuisance.separable for nuisance in self.estimate.nuisances)
 
     @property
-    def _own_deviation_Pa(self) -> float:
-        return float(self._t["own_deviation_Pa"])
-
-    @property
     def torque_shift_Nm(self) -> float:
         """Shift of the measured torque that has been found and is compensated."""
         return float(self._t["shift_Nm"])
-
-    @property
-    def residual_Nm(self) -> float:
-        """Torque residual: measured, less the shift, less simulated."""
-        return float(self._t["residual_Nm"])
 
     @property
     def problem(self) -> Problem | None:
@@ -344,13 +330,16 @@ class SpanEstimator:
         return BalanceSample(*[float(self._t[f"used_{name}"]) for name in ("m", "N", "per_Pa", "m_s")])
 
     @property
-    def other_web_suspected(self) -> bool:
-        """True if E may be changing because other web enters the span."""
-        return bool(self._t["other_web"] != 0.0)
+    def strain(self) -> float:
+        """Strain of the web in the span, by the encoders."""
+        return self._balance.web.strain.item(0)
 
-    @other_web_suspected.setter
-    def other_web_suspected(self, suspected: bool) -> None:
-        self._t["other_web"] = suspected
+    def put_pieces(self, pieces: Sequence[Piece]) -> None:
+        """Set the pieces of other web in the span, by the travel of the roller before it."""
+        t, web = self._t, self._balance.web
+        web.put_pieces(pieces)
+        t["spliced"] = bool(pieces)
+        t["series_factor"], t["end_factor"] = web.spliced_spans[0]
 
     @property
     def synchronized(self) -> bool:
@@ -412,18 +401,13 @@ class SpanEstimator:
         """Take the measurement of the instant that a line of two rollers has been simulated to; update the line."""
         self.place(x1_m, x2_m, strain_prev)
         values = x1_m, x2_m, torque_Nm, torque_sim_Nm, strain_prev, F_next_N, nan, nan, 0.0
-        stage = cycle.run_arrays(cycle.COMPARE, tuple(map(float, values)), self._table)
+        stage = cycle.run_arrays(cycle.COMPARE, tuple(map(float, values)), self.table)
         if stage == cycle.DONE:
             self.has_advanced()
         else:
             self.go_on_from(stage, strain_prev)
-        if self.moved:
+        if self._t["moved"]:
             self._line.show()
-
-    @property
-    def moved(self) -> bool:
-        """True if measured states were transferred that the motors' feedback shows."""
-        return bool(self._t["moved"] != 0.0)
 
     def go_on_from(self, stage: int, strain_prev: float) -> None:
         """Run the interpreted rest of a cycle from `stage` on, where a compiled caller stopped."""
@@ -440,15 +424,15 @@ class SpanEstimator:
         elif t["bank"]:
             self._nuisances = None
         if stage != cycle.SHIFT:
-            stage = cycle.run_arrays(cycle.LOOK_FOR_SHIFT, _NOTHING_MEASURED, self._table)
+            stage = cycle.run_arrays(cycle.LOOK_FOR_SHIFT, _NOTHING_MEASURED, self.table)
         if stage == cycle.SHIFT:
             self._take_out_shift()
-            cycle.run_arrays(cycle.TRANSFER, _NOTHING_MEASURED, self._table)
+            cycle.run_arrays(cycle.TRANSFER, _NOTHING_MEASURED, self.table)
 
     def _sample(self, strain_prev: float, force_N: float) -> SyncSample:
         """Sample of this cycle for a method, with this force in the balance."""
         t = self._t
-        sensitivity = float(t["section_m2"]) * float(self._line.strain[0]) / float(t["force_per_torque"])
+        sensitivity = float(t["section_m2"]) * float(self._line.strain[self.span - 1]) / float(t["force_per_torque"])
         return SyncSample(
             self._cycle_s,
             float(t["torque_Nm"]),
@@ -469,13 +453,13 @@ class SpanEstimator:
             method.rebase(float(t["rebased_Pa"]))
         t["web_per_Pa"] = t["used_per_Pa"]
         self._state(method.update(self._sample(strain_prev, float(t["corrected_N"]))))
-        t["bank"] = isinstance(method, ChangepointSynchronizer) and method.is_compiled
+        t["bank"] = isinstance(method, ChangepointSynchronizer) and method.started and not method.has_nuisances
 
     def _state_looked_for(self) -> None:
         """State E as assumed, with the deviation of the search, until the web is known."""
         assert self._search is not None, "it is looked for"
         looked_for_Pa = self._search.deviation_Pa(float(self._t["modulus_Pa"]))
-        self._state(replace(self.estimate, deviation_Pa=max(self._own_deviation_Pa, looked_for_Pa)))
+        self._state(replace(self.estimate, deviation_Pa=max(float(self._t["own_deviation_Pa"]), looked_for_Pa)))
 
     def _look_at_found_web(self, strain_prev: float) -> None:
         """Search E and strain of a web that was first seen running; the method starts once both, and the strain of the
@@ -496,8 +480,12 @@ class SpanEstimator:
         t["strain_uncertainty"], t["found"] = 0.0, 1.0
         self._search = None
         self._believe_found(found)
-        if not passes:
-            self._know_at_rest(found)
+        if not passes:  # a movement from rest has shown friction as well
+            if self._errors is not None:
+                friction_sd_N = hypot(found.friction_deviation_N, _AT_SPEED * found.friction_N)
+                self._errors.know(found.youngs_modulus_Pa, found.deviation_Pa, found.friction_N, friction_sd_N)
+            if found.sticks:
+                self._plausibility.sticks(SLOW_M_S)
         webs.know(self._place)
 
     def _believe_found(self, found: InitialWeb | None) -> None:
@@ -507,20 +495,12 @@ class SpanEstimator:
         self._state(Estimate(found.youngs_modulus_Pa, found.deviation_Pa))
         self.use(self._method)
 
-    def _know_at_rest(self, found: InitialWeb) -> None:
-        """Pass E and friction found by a movement from rest to the error filter."""
-        if self._errors is not None:
-            friction_sd_N = hypot(found.friction_deviation_N, _AT_SPEED * found.friction_N)
-            self._errors.know(found.youngs_modulus_Pa, found.deviation_Pa, found.friction_N, friction_sd_N)
-        if found.sticks:
-            self._plausibility.sticks(SLOW_M_S)
-
     def look_for_known_change(self, set_point_m_s: float) -> None:
         """Evaluate probing steps after `compare`: E from changes of the tension, at a steady set-point of axis 2 (m/s).
 
         The result is used, and the remaining torque taken as a shift, if it is more certain than the present estimate.
         """
-        change, t = self._probing_step, self._t
+        change, t = self.probing_step, self._t
         if change is None or not t["measured"]:
             return
         if self.problem is not None or t["strain_uncertainty"] != 0.0 or self._input_strain is not None:
@@ -541,7 +521,7 @@ class SpanEstimator:
         # The web has not changed, only its estimate.
         self._forget(cycle.SUSPEND)
         t["unmodelled_N"] = known.deviation_Pa * now.web_per_Pa
-        self._state(Estimate(known.youngs_modulus_Pa, self._own_deviation_Pa))
+        self._state(Estimate(known.youngs_modulus_Pa, float(self._t["own_deviation_Pa"])))
         change.believe(known.youngs_modulus_Pa)
 
     def upstream_strain(self, stated_strain: float) -> float:

@@ -1,15 +1,14 @@
 """Compiled cycle of `span_estimator`: compare, estimate by the bank of filters, transfer.
 
-It runs in stages: `run` returns at a stage that needs the interpreter, and is called again from the following one. All
-state is in `SpanEstimatorArrays`, owned by one span of one twin; it may be called from other compiled functions.
+It runs in stages: `run_arrays` returns at a stage that needs the interpreter, and is called again from the following
+one. All state is in `SpanEstimatorArrays`, owned by one span of one twin; it may be called from other compiled
+functions.
 """
 
 from __future__ import annotations
 
 from math import exp, hypot, inf, isfinite, isnan
 from typing import Annotated, Any, Final, NamedTuple
-
-import numpy as np
 
 from hilbench.compiled import (
     COUNT,
@@ -21,6 +20,7 @@ from hilbench.compiled import (
     entry_point,
     inlined,
     reals,
+    record_type,
     rows_of,
 )
 from hilbench.estimation import plausibility
@@ -48,72 +48,35 @@ LARGEST_STRAIN = 0.5
 #: simulation has diverged, s.
 DIVERGED_S = 0.25
 
-# Stages of a cycle; `run` returns the stage that needs the interpreter, or DONE.
+# Stages of a cycle; `run_arrays` returns the stage that needs the interpreter, or DONE.
 COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(8)
 #: Reasons to restart the detectors: a cycle is missing; the web is the same with a better estimate; it is another web.
 #: And E is stated, by a method in Python.
 INTERRUPT, SUSPEND, NEW_WEB, STATE = range(DONE + 1, DONE + 5)
 
-#: State of a span estimator, SI; true is 1, false 0. Derived from model and config:
-SPAN: Final = np.dtype(
-    [
-        ("cycle_s", "f8"),
-        ("force_per_torque", "f8"),
-        ("section_m2", "f8"),
-        ("span_m", "f8"),
-        ("span", "f8"),  # of the line, from 0
-        ("has_errors", "f8"),  # unmodelled effects are estimated
-        ("bank", "f8"),  # the method is the bank of filters
-        ("black_box", "f8"),  # E of the line stays
-        ("compensates", "f8"),  # shifts of the torque are looked for
-        ("finds_delay", "f8"),
-        ("delayed", "f8"),  # there may be a delay
-        ("transfers_strain", "f8"),
-        ("transfers_axes", "f8"),
-        ("strain_limit", "f8"),
-        ("position_limit_m", "f8"),
-        ("velocity_limit_m_s", "f8"),
-        # What is known:
-        ("modulus_Pa", "f8"),
-        ("deviation_Pa", "f8"),
-        ("own_deviation_Pa", "f8"),  # without unmodelled effects
-        ("unmodelled_N", "f8"),
-        ("shift_Nm", "f8"),
-        ("delay_s", "f8"),
-        ("strain_uncertainty", "f8"),
-        ("web_per_Pa", "f8"),
-        ("other_web", "f8"),  # E may be changing because other web comes in
-        # Of the present cycle:
-        ("missed_s", "f8"),  # since the last measurement
-        ("runs", "f8"),  # the line has been simulated since the release
-        ("torque_Nm", "f8"),  # measured, less the shift
-        ("torque_sim_Nm", "f8"),
-        ("position_1_m", "f8"),
-        ("position_2_m", "f8"),
-        ("residual_Nm", "f8"),
-        ("problem", "f8"),
-        ("refused", "f8"),  # cycles in a row in which a measured state was not taken over
-        ("refused_m", "f8"),  # web that has passed meanwhile
-        ("spliced", "f8"),
-        ("series_factor", "f8"),
-        ("end_factor", "f8"),
-        ("now_N", "f8"),  # instantaneous force of the balance, compensated for unmodelled effects
-        ("measured", "f8"),  # there is a balance
-        (
-            "used",
-            "f8",
-        ),  # E was found from the next four: the balance at the (delayed) time of the torque, uncompensated
-        ("used_m", "f8"),
-        ("used_N", "f8"),
-        ("used_per_Pa", "f8"),
-        ("used_m_s", "f8"),
-        ("corrected_N", "f8"),  # the delayed force, compensated
-        ("rebased_Pa", "f8"),  # change of E by a change of the compensation
-        ("moved", "f8"),  # the motors' feedback has changed
-        ("creep_ratio", "f8"),  # share by which the web leaves the span slower than the roller turns
-        ("found", "f8"),  # the strain has just been initialized; the simulation had a guess
-        ("frozen", "f8"),  # cycle time uncertain: no adaptation
-    ]
+#: State of a span estimator, SI; true is 1, false 0.
+SPAN: Final = record_type(
+    # Derived from model and config: number of the span in the line, from 0; whether unmodelled effects are estimated;
+    # the method is the bank of filters, or leaves E of the line (`black_box`); shifts of the torque and a delay are
+    # looked for, or there may be a delay; what is transferred.
+    *("cycle_s", "force_per_torque", "section_m2", "span_m", "span", "has_errors", "bank", "black_box", "compensates"),
+    *("finds_delay", "delayed", "transfers_strain", "transfers_axes", "strain_limit", "position_limit_m"),
+    "velocity_limit_m_s",
+    # What is known; `own_deviation_Pa` is without unmodelled effects; with `other_web` E may be changing because other
+    # web comes in.
+    *("modulus_Pa", "deviation_Pa", "own_deviation_Pa", "unmodelled_N", "shift_Nm", "delay_s", "strain_uncertainty"),
+    *("web_per_Pa", "other_web"),
+    # Of the present cycle: time since the last measurement; whether the line has been simulated since the release;
+    # torques less the shift; cycles in a row in which a measured state was refused, and the web that has passed
+    # meanwhile; instantaneous force, compensated for unmodelled effects; whether there is a balance.
+    *("missed_s", "runs", "torque_Nm", "torque_sim_Nm", "position_1_m", "position_2_m", "residual_Nm", "problem"),
+    *("refused", "refused_m", "spliced", "series_factor", "end_factor", "now_N", "measured"),
+    # E was found from the next four: the balance at the (delayed) time of the torque, uncompensated; then the delayed
+    # force, compensated, and the change of E by a change of the compensation.
+    *("used", "used_m", "used_N", "used_per_Pa", "used_m_s", "corrected_N", "rebased_Pa"),
+    # The motors' feedback has changed; share by which the web leaves the span slower than the roller turns; the strain
+    # has just been initialized, the simulation had a guess; cycle time uncertain: no adaptation.
+    *("moved", "creep_ratio", "found", "frozen"),
 )
 
 
@@ -151,25 +114,10 @@ def _state_modulus(v: SpanEstimatorArrays, modulus_Pa: float, deviation_Pa: floa
 
 
 @compiled
-def compare(
-    v: SpanEstimatorArrays,
-    x1_m: float,
-    x2_m: float,
-    torque_Nm: float,
-    torque_sim_Nm: float,
-    strain_prev: float,
-    F_next_N: float,
-    centre_m: float,
-    strain_next: float,
-    creep_ratio_prev: float,
-) -> int:
-    """Take the measurement of the instant that the line has been simulated to; the next stage: HOLD, FOUND_WEB or
-    UPDATE.
-
-    `torque_Nm`, `torque_sim_Nm`: measured and simulated; `centre_m`: position of the centre of mass, where roller 2
-    represents several, else NaN; `strain_next`: strain of the web after the span, NaN at the end of the line;
-    `creep_ratio_prev`: creep ratio at roller 1 (`CREEP_RATIO` of the previous span).
-    """
+def _compare(v: SpanEstimatorArrays, measured: tuple[float, ...]) -> int:
+    """Take the measurement of the instant that the line has been simulated to (`run_arrays`); the next stage: HOLD,
+    FOUND_WEB or UPDATE."""
+    x1_m, x2_m, torque_Nm, torque_sim_Nm, strain_prev, F_next_N, centre_m, strain_next, creep_ratio_prev = measured
     t, now = v.t, v.balance.s
     torque_Nm -= t.shift_Nm
     balance.use_modulus(v.balance, t.modulus_Pa)
@@ -180,7 +128,7 @@ def compare(
         strain_next = laws.downstream_strain(v.balance.p, F_next_N)
     duration_s = t.cycle_s + t.missed_s
     around = strain_prev, F_next_N, behind_N, strain_next, creep_ratio_prev
-    balance.momentum_balance(v.balance, x1_m, x2_m, torque_Nm, *around, duration_s)
+    balance.momentum_balance(v.balance, x1_m, x2_m, torque_Nm, around, duration_s)
     t.creep_ratio = creep_per_N * (balance.tension_N(v.balance) - behind_N) if creep_per_N != 0.0 else 0.0
     if not isnan(centre_m):
         now.x2_m = centre_m
@@ -209,19 +157,16 @@ def compare(
     if t.delayed != 0.0:
         if coherent:
             coherent, t.used_m, t.used_N, t.used_per_Pa, t.used_m_s = delay.pair(
-                v.delay_line,
-                now.x2_m,
-                force_N,
-                web_per_Pa,
-                velocity_m_s,
-                torque_Nm * t.force_per_torque,
-                t.delay_s,
+                v.delay_line, now.x2_m, force_N, web_per_Pa, velocity_m_s, torque_Nm * t.force_per_torque, t.delay_s
             )
         else:
             delay.forget(v.delay_line)
     usable = coherent and problem == 0 and not moved and t.frozen == 0.0
     if t.strain_uncertainty > 0.0:
-        _transport_out(t, velocity_m_s)
+        # Mass transport: exp(-v·t/L).
+        t.strain_uncertainty *= exp(-abs(velocity_m_s) * t.cycle_s / t.span_m)
+        if t.strain_uncertainty < initial_strains.KNOWN:
+            t.strain_uncertainty = 0.0
     if t.strain_uncertainty > 0.0:
         t.used = 1.0 if usable else 0.0
         return FOUND_WEB
@@ -273,14 +218,6 @@ def _find_delay(v: SpanEstimatorArrays, torque_Nm: float, torque_sim_Nm: float) 
     return bool(v.t.delay_s != before_s)
 
 
-@inlined
-def _transport_out(t: Record, velocity_m_s: float) -> None:
-    """Decay of the strain uncertainty by mass transport: exp(-v·t/L)."""
-    t.strain_uncertainty *= exp(-abs(velocity_m_s) * t.cycle_s / t.span_m)
-    if t.strain_uncertainty < initial_strains.KNOWN:
-        t.strain_uncertainty = 0.0
-
-
 @compiled
 def _look_for_errors(v: SpanEstimatorArrays, F_next_N: float) -> None:
     """Update the unmodelled effects; E is rebased if the force correction has changed."""
@@ -293,15 +230,7 @@ def _look_for_errors(v: SpanEstimatorArrays, F_next_N: float) -> None:
         return
     web_per_Pa = t.used_per_Pa
     unmodelled_filter.take(
-        errors,
-        t.position_1_m,
-        t.used_m,
-        t.torque_Nm,
-        t.used_N,
-        web_per_Pa,
-        t.used_m_s,
-        F_next_N,
-        t.modulus_Pa,
+        errors, t.position_1_m, t.used_m, t.torque_Nm, t.used_N, web_per_Pa, t.used_m_s, F_next_N, t.modulus_Pa
     )
     rebased_N = errors.rebased_N
     if rebased_N != 0.0 and web_per_Pa > 0.0:
@@ -313,21 +242,21 @@ def _look_for_errors(v: SpanEstimatorArrays, F_next_N: float) -> None:
 
 
 @compiled
-def update(v: SpanEstimatorArrays) -> None:
+def _update(v: SpanEstimatorArrays) -> None:
     """Bank's part of the stage UPDATE."""
     t = v.t
     if t.rebased_Pa != 0.0:
         filters.rebase(v.filters, t.rebased_Pa)
     t.web_per_Pa = t.used_per_Pa
-    used = (t.used_m, t.corrected_N, t.used_per_Pa, t.used_m_s)
-    if filters.follow(v.filters, t.cycle_s, t.torque_Nm, used[0], used[1], used[2], used[3]):
+    sample = t.cycle_s, t.torque_Nm, t.used_m, t.corrected_N, t.used_per_Pa, t.used_m_s
+    if filters.follow(v.filters, sample):
         filters.state(v.filters, 0.0)
     modulus_Pa, deviation_Pa = filters.stated(v.filters)
     _state_modulus(v, modulus_Pa, deviation_Pa)
 
 
 @compiled
-def look_for_shift(v: SpanEstimatorArrays) -> int:
+def _look_for_shift(v: SpanEstimatorArrays) -> int:
     """Next stage: SHIFT if a torque shift is certain, else TRANSFER."""
     t, block = v.t, v.blocks
     if t.compensates == 0.0:
@@ -350,7 +279,7 @@ def look_for_shift(v: SpanEstimatorArrays) -> int:
 
 
 @compiled
-def transfer(v: SpanEstimatorArrays) -> None:
+def _transfer(v: SpanEstimatorArrays) -> None:
     """Set E of the line and transfer plausible measured states to it; count cycles and travel of refused ones."""
     t, line = v.t, v.line
     v1_m_s, v2_m_s = balance.roller_speed_m_s(v.balance, 0), balance.roller_speed_m_s(v.balance, 1)
@@ -389,53 +318,10 @@ def transfer(v: SpanEstimatorArrays) -> None:
             t.moved = 1.0
 
 
-@compiled
-def run(
-    v: SpanEstimatorArrays,
-    stage: int,
-    x1_m: float,
-    x2_m: float,
-    torque_Nm: float,
-    torque_sim_Nm: float,
-    strain_prev: float,
-    F_next_N: float,
-    centre_m: float,
-    strain_next: float,
-    creep_ratio_prev: float,
-) -> int:
-    """Run a cycle from `stage` on; arguments as of `compare`, which alone reads them. Returns the stage that needs the
-    interpreter (HOLD, FOUND_WEB, UPDATE of a method other than the bank, SHIFT), or DONE."""
-    if stage == COMPARE:
-        around = strain_prev, F_next_N, centre_m, strain_next, creep_ratio_prev
-        stage = compare(v, x1_m, x2_m, torque_Nm, torque_sim_Nm, *around)
-        if stage == UPDATE and v.t.bank != 0.0:
-            update(v)
-            stage = LOOK_FOR_SHIFT
-    if stage == LOOK_FOR_SHIFT:
-        stage = look_for_shift(v)
-    if stage == TRANSFER:
-        transfer(v)
-        stage = DONE
-    return stage
-
-
-@compiled
-def outlet_strain(t: Record, strain: float) -> float:
-    """Inlet strain of the next span: measured strain × series factor / end factor, as all pieces carry the same
-    tension, corrected for creep."""
-    return float(equivalent_strain(strain * t.series_factor / t.end_factor, t.creep_ratio))
-
-
 @inlined
 def equivalent_strain(strain: float, creep_ratio: float) -> float:
     """Strain with the same mass flow as web creeping by `creep_ratio`: (1 + ε)/(1 − c) − 1."""
     return strain if creep_ratio == 0.0 else (1.0 + strain) / (1.0 - creep_ratio) - 1.0
-
-
-@inlined
-def reverse_outlet_strain(t: Record, strain: float) -> float:
-    """Inlet strain of the previous span in reverse: measured strain × series factor."""
-    return float(strain * t.series_factor)
 
 
 @compiled
@@ -467,13 +353,29 @@ ROWS: Final = rows_of(SpanEstimatorArrays)
 
 @entry_point(COUNT, reals(9), TABLE)
 def run_arrays(stage: int, values: tuple[float, ...], table: Places) -> int:
-    """`run` on the `SpanEstimatorArrays` in a table; or, as stages of their own, its detectors are restarted, or E is
-    stated with its deviation."""
+    """Run a cycle from `stage` on, on the `SpanEstimatorArrays` in a table. Returns the stage that needs the
+    interpreter (HOLD, FOUND_WEB, UPDATE of a method other than the bank, SHIFT), or DONE. Or, as stages of their own,
+    its detectors are restarted, or E is stated with its deviation.
+
+    `values` to COMPARE: positions of the rollers at the web; torque, measured and simulated; strain of the web that
+    enters, tension after the line; position of the centre of mass, where roller 2 represents several, else NaN; strain
+    of the web after the span, NaN at the end of the line; creep ratio at roller 1 (that of the previous span).
+    """
     v = arrays_in(table, SpanEstimatorArrays)
-    if stage > DONE:
-        if stage == STATE:
-            _state_modulus(v, values[0], values[1])
-        else:
-            _forget(v, stage)
+    if stage == STATE:
+        _state_modulus(v, values[0], values[1])
         return DONE
-    return run(v, stage, *values)
+    if stage > DONE:
+        _forget(v, stage)
+        return DONE
+    if stage == COMPARE:
+        stage = _compare(v, values)
+        if stage == UPDATE and v.t.bank != 0.0:
+            _update(v)
+            stage = LOOK_FOR_SHIFT
+    if stage == LOOK_FOR_SHIFT:
+        stage = _look_for_shift(v)
+    if stage == TRANSFER:
+        _transfer(v)
+        stage = DONE
+    return stage

@@ -17,16 +17,15 @@ regressors are included as no joint.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Set
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
-from enum import Enum
 from math import exp, inf
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, VECTOR, Record, compiled, entry_point, interpreted, record_type
+from hilbench.compiled import MATRIX, VECTOR, Record, compiled, entry_point, interpreted, record_type, viewed
 from hilbench.estimation.web_line.balance import BalanceSample
 from hilbench.estimation.web_line.block_means import BLOCK_S, SAME_SPEED
 
@@ -72,66 +71,46 @@ def collect(s: Record, force_N: float, web_per_Pa: float, velocity_m_s: float, b
     return bool(s.count >= s.cycles)
 
 
+#: Kinds of change, and shapes of the compliance: E of the web in the span, the web that comes in, a short piece of it.
+_STEP, _WEB, _SHORT, _KINDS = range(4)
 #: Best fit of a shape over joint positions: squares explained, position index, change, and mean of the shape.
-_EXPLAINED, _PLACE, _CHANGE, _MEAN, _BEST = range(5)
-#: Rows of these, in the order of `_Kind`.
-_STEPS, _WEBS_IN, _SHORTS, _SHAPES = range(4)
-
-
-@compiled
-def _shape(kind: int, into: float, left: float) -> float:
-    """Compliance relative to the change of the whole span's, at `into` lengths of joint travel; left: exp(−into)."""
-    if into <= 0.0:
-        return 0.0
-    if kind == _STEPS:
-        return 1.0
-    return 1.0 - left if kind == _WEBS_IN else left
-
-
-@compiled
-def _explain(
-    kind: int, into: Vector, left: Vector, values: Vector, motion: Array, of_values: Vector, found: Vector
-) -> None:
-    """Least squares of values (n,) as a shape times its change, orthogonal to orthonormal rows (k, n); `of_values`
-    (k,): their products with the values. Fills `found` (see `_BEST`) but for the position."""
-    count, squares, product, total = len(values), 0.0, 0.0, 0.0
-    of_shape_0, of_shape_1, of_shape_2 = 0.0, 0.0, 0.0
-    for j in range(count):
-        shape = _shape(kind, into[j], left[j])
-        squares += shape * shape
-        product += shape * values[j]
-        total += shape
-        of_shape_0 += shape * motion[0, j]
-        if len(motion) > 1:
-            of_shape_1 += shape * motion[1, j]
-            of_shape_2 += shape * motion[2, j]
-    squares -= of_shape_0 * of_shape_0 + of_shape_1 * of_shape_1 + of_shape_2 * of_shape_2
-    product -= of_shape_0 * of_values[0]
-    if len(motion) > 1:
-        product -= of_shape_1 * of_values[1] + of_shape_2 * of_values[2]
-    squares = max(squares, 1e-12)
-    found[_CHANGE] = product / squares
-    found[_EXPLAINED], found[_MEAN] = found[_CHANGE] * found[_CHANGE] * squares, total / count
+_FOUND: Final = record_type("explained", "place", "change", "mean")
 
 
 @entry_point(VECTOR, VECTOR, MATRIX, VECTOR, MATRIX)
-def _explain_all(regressors: Vector, values: Vector, motion: Array, fronts: Vector, best: Array) -> None:
-    """Best fit of each shape: travels `regressors` (n,) and `fronts` (m,) in lengths of the span."""
-    of_values, found = np.zeros(len(motion)), np.zeros(_BEST)
-    into, left = np.zeros(len(values)), np.zeros(len(values))
+def _explain_all(travels: Vector, values: Vector, motion: Array, fronts: Vector, best: Array) -> None:
+    """Best least squares of values (n,) as a shape of each kind times its change, orthogonal to orthonormal rows
+    (k, n): `_FOUND` of each kind. Travels (n,) and `fronts` (m,) in lengths of the span."""
+    count, of_values, of_shape = len(values), np.zeros(len(motion)), np.zeros(len(motion))
+    shapes = np.zeros((_KINDS, count))  # compliance relative to the change of the whole span's
     for k in range(len(motion)):
-        for j in range(len(values)):
+        for j in range(count):
             of_values[k] += motion[k, j] * values[j]
-    best[:, _EXPLAINED] = -1.0
+    for kind in range(_KINDS):
+        viewed(best[kind], _FOUND)[0].explained = -1.0
     for place in range(len(fronts)):
-        for j in range(len(values)):
-            into[j] = regressors[j] - fronts[place]
-            left[j] = exp(-into[j]) if into[j] > 0.0 else 1.0
-        for kind in range(_SHAPES):
-            _explain(kind, into, left, values, motion, of_values, found)
-            if found[_EXPLAINED] > best[kind, _EXPLAINED]:
-                found[_PLACE] = place
-                best[kind] = found
+        for j in range(count):
+            into = travels[j] - fronts[place]
+            left = exp(-into) if into > 0.0 else 0.0
+            shapes[_STEP, j] = 1.0 if into > 0.0 else 0.0
+            shapes[_WEB, j], shapes[_SHORT, j] = shapes[_STEP, j] - left, left
+        for kind in range(_KINDS):
+            shape, found, squares, product, total = shapes[kind], viewed(best[kind], _FOUND)[0], 0.0, 0.0, 0.0
+            for j in range(count):
+                squares += shape[j] * shape[j]
+                product += shape[j] * values[j]
+                total += shape[j]
+            for k in range(len(motion)):
+                of_shape[k] = 0.0
+                for j in range(count):
+                    of_shape[k] += shape[j] * motion[k, j]
+                squares -= of_shape[k] * of_shape[k]
+                product -= of_shape[k] * of_values[k]
+            squares = max(squares, 1e-12)
+            change = product / squares
+            if change * change * squares > found.explained:
+                found.explained, found.place = change * change * squares, place
+                found.change, found.mean = change, total / count
 
 
 _interrupt, _collect = interpreted(interrupt), interpreted(collect)
@@ -158,16 +137,8 @@ class Entered:
     relative_change: float = 0.0
 
 
-class _Kind(Enum):  # in this order: _STEPS and so on
-    """Kind of change: E of the web in the span, the web that comes in, or a short piece of it."""
-
-    STEP = "step"
-    WEB = "web"
-    SHORT = "short"
-
-
-#: Accepted compliance changes of the whole span, softer and stiffer.
-_SHARES = {_Kind.STEP: (2.0, -0.7), _Kind.WEB: (1.0, -0.5), _Kind.SHORT: (0.3, -0.3)}
+#: Accepted compliance changes of the whole span, softer and stiffer, by kind.
+_SHARES: Final = ((2.0, -0.7), (1.0, -0.5), (0.3, -0.3))
 
 
 class _Fit(NamedTuple):
@@ -197,7 +168,7 @@ class SpliceFinder:
         self._blocks: deque[tuple[float, float, float, float]] = deque(maxlen=_MOST)
         self._blocks_seen = 0
         self._since_m = -inf  # position of the roller before the span from which on blocks are looked at
-        self._kind: _Kind | None = None
+        self._kind: int | None = None
         self._joint: Joint | None = None
         self.suspects = False  #: something has changed that may be inside, and it is open yet what
         _interrupt(self._sums)
@@ -237,15 +208,18 @@ class SpliceFinder:
         fits = self._fits(travels_m, compliances, motion, fronts_m, noise)
         # The residual of the best fit, e.g. of a roller hit by a step, counts as noise.
         total = float(np.sum(_without(compliances, motion) ** 2)) / noise**2
-        rest = (total - max(fit.gain for fit in fits.values())) / len(compliances)
-        inside_yet = [fit.gain for fit in fits.values() if travels_m[-1] - fit.front_m < _THROUGH * self._length_m]
+        rest = (total - max(fit.gain for fit in fits)) / len(compliances)
+        inside_yet = [fit.gain for fit in fits if travels_m[-1] - fit.front_m < _THROUGH * self._length_m]
         self.suspects = max(inside_yet, default=0.0) > _SUSPECTED * max(rest, 1.0)
-        identifiable = {kind for kind, fit in fits.items() if self._is_identifiable(kind, fit, float(travels_m[-1]))}
-        if not self._decide({kind: fit.gain / max(rest, 1.0) for kind, fit in fits.items()}, identifiable):
+        # The compliance change is a web's, and the joint so far in that it is separable from a step.
+        entered_m = float(travels_m[-1]) - _LEAST_TRAVEL * self._length_m
+        likely = [stiffer < fit.share < softer for fit, (softer, stiffer) in zip(fits, _SHARES, strict=True)]
+        identifiable = {kind for kind in range(_KINDS) if likely[kind] and entered_m > fits[kind].front_m}
+        if not self._decide([fit.gain / max(rest, 1.0) for fit in fits], identifiable):
             return None
         kind = self._kind
         assert kind is not None, "it was decided"
-        if kind is _Kind.STEP:
+        if kind is _STEP:
             self._forget_before(fits[kind].front_m)
             if self._joint is None:
                 return None
@@ -258,37 +232,27 @@ class SpliceFinder:
             return None
         return self._entered(fits[kind], travel_share)
 
-    def _fits(
-        self, travels_m: Array, compliances: Array, motion: Array, fronts_m: Array, noise: float
-    ) -> dict[_Kind, _Fit]:
+    def _fits(self, travels_m: Array, compliances: Array, motion: Array, fronts_m: Array, noise: float) -> list[_Fit]:
         """Best least-squares fit of a + b·shape + motion for each kind; motion (n, k): as of `_known_regressors`."""
-        values, rows, best = (
-            np.ascontiguousarray(compliances),
-            np.ascontiguousarray(motion.T),
-            np.zeros((_SHAPES, _BEST)),
-        )
-        _explain_all(travels_m / self._length_m, values, rows, fronts_m / self._length_m, best)
-        mean, fits = float(values.mean()), {}
-        for kind, (explained, place, change, of_shape) in zip(_Kind, best.tolist(), strict=True):
+        values, rows = np.ascontiguousarray(compliances), np.ascontiguousarray(motion.T)
+        best, mean, fits = np.zeros(_KINDS, _FOUND), float(values.mean()), []
+        of_kinds = best.view(np.float64).reshape(_KINDS, -1)
+        _explain_all(travels_m / self._length_m, values, rows, fronts_m / self._length_m, of_kinds)
+        for explained, place, change, of_shape in best.tolist():
             share = change / (mean - change * of_shape)
-            fits[kind] = _Fit(explained / noise**2, float(fronts_m[int(place)]), share)
+            fits.append(_Fit(explained / noise**2, float(fronts_m[int(place)]), share))
         return fits
 
-    def _is_identifiable(self, kind: _Kind, fit: _Fit, now_m: float) -> bool:
-        """True if the compliance change is a web's, and the joint so far in that it is separable from a step."""
-        softer, stiffer = _SHARES[kind]
-        return stiffer < fit.share < softer and now_m - fit.front_m > _LEAST_TRAVEL * self._length_m
-
-    def _decide(self, gains: Mapping[_Kind, float], identifiable: Set[_Kind]) -> bool:
+    def _decide(self, gains: Sequence[float], identifiable: Set[int]) -> bool:
         """Select the explanation by the likelihood gains, among the identifiable ones; True if there is one.
 
         A short piece that has just come in is like a step: what is uncertain keeps its kind.
         """
-        best, next_best = sorted(gains, key=gains.__getitem__, reverse=True)[:2]
+        best, next_best = sorted(range(_KINDS), key=gains.__getitem__, reverse=True)[:2]
         if gains[best] < _CHANGED:
             return self._kind is not None
         than = next_best
-        if self._kind is not None and best is not _Kind.STEP:
+        if self._kind is not None and best is not _STEP:
             than = self._kind if best is not self._kind else next_best
         if best in identifiable and gains[best] > gains[than] + _BETTER:
             self._kind = best
@@ -315,7 +279,7 @@ class SpliceFinder:
 
     def _entered(self, found: _Fit, travel_share: float) -> Entered:
         """Splice as it is estimated now."""
-        share, endless = found.share, self._kind is _Kind.WEB
+        share, endless = found.share, self._kind is _WEB
         left = exp(-max(travel_share, 0.0))
         if endless:
             length_m, of_piece, acts, seems = inf, share, share * min(max(travel_share, 0.0), 1.0), share * (1.0 - left)

@@ -26,7 +26,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import Record, compiled, inlined
+from hilbench.compiled import Record, compiled, record_type
 from hilbench.estimation import ring
 from hilbench.estimation.assumptions import LATE
 from hilbench.estimation.ring import RING
@@ -58,39 +58,19 @@ _MOVED = 5.0
 _LEAST, _LONG, _LONGEST = 15, 150, 3000
 
 
-#: State. Of a change: values before it (E of the line through the blocks before: stated E includes other effects) and
-#: sums over the blocks since, of force f and web h; the result. Then the blocks before: force, web, final speed and
-#: stated E of each.
+#: State. Of a change: values before it (E of the line through the blocks before: stated E includes other effects;
+#: factor on the noise of a sum, relative to white noise), force and web of the block before, sums over the blocks
+#: since, of force f, web h and their changes d from block to block; the result. Then the blocks before: force, web,
+#: final speed and stated E of each.
 SHIFT: Final = np.dtype(
     [
-        ("open", "f8"),
-        ("modulus_Pa", "f8"),
-        ("stated_Pa", "f8"),
-        ("web_per_Pa", "f8"),
-        ("web_variance_per_Pa2", "f8"),
-        ("variance_N2", "f8"),
-        ("slowness", "f8"),  # factor on the noise before in a sum, relative to white noise
-        ("hits", "f8"),
-        ("leans_to_modulus", "f8"),
-        ("has_followed", "f8"),
-        ("last_N", "f8"),  # force and web of the block before
-        ("web_last_per_Pa", "f8"),
-        ("count", "f8"),
-        ("f", "f8"),
-        ("h", "f8"),
-        ("ff", "f8"),
-        ("fh", "f8"),
-        ("hh", "f8"),
-        ("dff", "f8"),  # of their changes from block to block
-        ("dfh", "f8"),
-        ("dhh", "f8"),
-        ("found_N", "f8"),
-        ("found_Pa", "f8"),
+        *record_type(
+            *("open", "modulus_Pa", "stated_Pa", "web_per_Pa", "web_variance_per_Pa2", "variance_N2", "slowness"),
+            *("hits", "leans_to_modulus", "has_followed", "last_N", "web_last_per_Pa"),
+            *("count", "f", "h", "ff", "fh", "hh", "dff", "dfh", "dhh", "found_N", "found_Pa"),
+        ).descr,
         ("before", RING),
-        ("forces_N", "f8", (_BEFORE,)),
-        ("webs_per_Pa", "f8", (_BEFORE,)),
-        ("speeds_m_s", "f8", (_BEFORE,)),
-        ("moduli_Pa", "f8", (_BEFORE,)),
+        *[(name, "f8", (_BEFORE,)) for name in ("forces_N", "webs_per_Pa", "speeds_m_s", "moduli_Pa")],
     ]
 )
 
@@ -190,21 +170,30 @@ def _explain(s: Record, f: float, h: float, may_decide: bool, deviation_N: float
     count = s.count
     if count < _LEAST or not may_decide:
         return False
-    free, changes_N2 = _free(s)
+    free, slope_Pa, _ = _fit(s, 0.0, 0.0)
+    changes_N2 = s.dff - 2.0 * slope_Pa * s.dfh + slope_Pa * slope_Pa * s.dhh
     # The oscillation of a shaft that was hit, and of spans that settle, is on neither line: it counts as noise.
     alike = min(max(1.0 - 0.5 * changes_N2 / free, 0.0), _MOST_ALIKE) if free > 0.0 else 0.0
     slowness = max(s.slowness, (1.0 + alike) / (1.0 - alike))
     variance = max(s.slowness * s.variance_N2, slowness * free / (count - 2.0))
     precision = variance / (deviation_N * deviation_N) if deviation_N != 0.0 else inf
-    shift_N, of_shift = _of_shift(s, precision)
-    of_shift, of_modulus = (of_shift - free) / variance, (_of_modulus(s, precision) - free) / variance
-    if of_modulus - of_shift > _DECIDED and of_shift < _ACCEPTED and _has_moved(s):
-        s.found_N, s.found_Pa = shift_N, s.stated_Pa
+    # E was c/h smaller before.
+    of_shift, least_Pa, shift_N = _fit(s, precision * s.web_per_Pa * s.web_per_Pa, 0.0)
+    of_modulus, _, _ = _fit(s, 0.0, precision)
+    of_shift, of_modulus = (of_shift - free) / variance, (of_modulus - free) / variance
+    # The strain has changed by more than at a constant tension: its disturbances (upstream tension, torque of its
+    # roller) are in the force as well, and no line through them has the slope of the web.
+    moved = s.hh / count - (s.h / count) ** 2 > _MOVED * s.web_variance_per_Pa2
+    if of_modulus - of_shift > _DECIDED and of_shift < _ACCEPTED and moved:
+        # An earlier error is in the stated E: the shift is the increase since.
+        s.found_N, s.found_Pa = shift_N - (s.modulus_Pa - least_Pa) * s.web_per_Pa, s.stated_Pa
         reset(s)
         return True
     better = of_shift - of_modulus
-    # Once it has followed, a later set-point does not undo that.
-    if _has_followed(s):
+    # The strain has changed as a controlled tension requires with another E; a later set-point does not undo that.
+    strain = s.h / count / s.web_per_Pa - 1.0
+    force = s.f / count / (s.modulus_Pa * s.web_per_Pa) - 1.0
+    if abs(strain) > _FOLLOWED * (abs(force) + abs(strain)):
         s.has_followed = 1.0
     likelier = better + _OFTENER * s.has_followed
     s.leans_to_modulus = 1.0 if likelier > (_LEANS_NO_MORE if s.leans_to_modulus != 0.0 else _LEANS) else 0.0
@@ -215,62 +204,19 @@ def _explain(s: Record, f: float, h: float, may_decide: bool, deviation_N: float
     return False
 
 
-@inlined
-def _has_moved(s: Record) -> bool:
-    """True if the strain has changed by more than at a constant tension: its disturbances (upstream tension, torque of
-    its roller) are in the force as well, and no line through them has the slope of the web."""
-    spread = s.hh / s.count - (s.h / s.count) ** 2
-    return bool(spread > _MOVED * s.web_variance_per_Pa2)
-
-
-@inlined
-def _has_followed(s: Record) -> bool:
-    """True if the strain has changed since as a controlled tension requires with another E."""
-    strain = s.h / s.count / s.web_per_Pa - 1.0
-    force = s.f / s.count / (s.modulus_Pa * s.web_per_Pa) - 1.0
-    return bool(abs(strain) > _FOLLOWED * (abs(force) + abs(strain)))
-
-
 @compiled
-def _of_modulus(s: Record, precision: float) -> float:
-    """Squared residuals of f = E'·h + c with a small c; `precision`: variance of the noise over that of c; infinite: c
-    = 0."""
-    through_origin = s.ff - s.fh * s.fh / s.hh
-    if precision == inf:
-        return float(through_origin)
-    # Least squares for c in addition to E', with c² weighed by its precision.
-    across = s.f - s.fh * s.h / s.hh
-    return float(through_origin - across * across / (s.count - s.h * s.h / s.hh + precision))
-
-
-@compiled
-def _of_shift(s: Record, precision: float) -> tuple[float, float]:
-    """Shift d of f = E·h + d, and the squared residuals. E was c/h smaller before: c as in `_of_modulus`."""
-    modulus_Pa, web_before_per_Pa = s.modulus_Pa, s.web_per_Pa
-    s_fh = s.fh - s.f * s.h / s.count
-    s_hh = max(s.hh - s.h * s.h / s.count, 0.0)
-    s_ff = s.ff - s.f * s.f / s.count
-    least, held = modulus_Pa, 0.0
-    if precision < inf:
-        held = precision * web_before_per_Pa * web_before_per_Pa
-        least = (s_fh + held * modulus_Pa) / (s_hh + held)
-    d = (s.f - least * s.h) / s.count
-    squares = s_ff - 2.0 * least * s_fh + least * least * s_hh
-    if precision < inf:
-        squares += held * (least - modulus_Pa) ** 2
-    # An earlier error is in the stated E: the shift is the increase since.
-    return d - (modulus_Pa - least) * web_before_per_Pa, squares
-
-
-@compiled
-def _free(s: Record) -> tuple[float, float]:
-    """Squared residuals of f = E'·h + d', and their squared changes from block to block."""
-    s_ff = s.ff - s.f * s.f / s.count
-    s_fh = s.fh - s.f * s.h / s.count
-    s_hh = s.hh - s.h * s.h / s.count
-    slope_Pa = s_fh / s_hh if s_hh > 0.0 else 0.0
-    changes_N2 = s.dff - 2.0 * slope_Pa * s.dfh + slope_Pa * slope_Pa * s.dhh
-    return s_ff - slope_Pa * s_fh, changes_N2
+def _fit(s: Record, held: float, precision: float) -> tuple[float, float, float]:
+    """Squared residuals of f = E'·h + c, E' and c: E' held to E, and c to 0, by these precisions over that of a block
+    (0: free; infinite: fixed)."""
+    weight = s.count + precision
+    s_ff, s_fh = s.ff - s.f * s.f / weight, s.fh - s.f * s.h / weight
+    s_hh, least_Pa = max(s.hh - s.h * s.h / weight, 0.0), s.modulus_Pa
+    if held < inf:
+        least_Pa = (s_fh + held * s.modulus_Pa) / (s_hh + held) if s_hh + held > 0.0 else 0.0
+    squares = s_ff - 2.0 * least_Pa * s_fh + least_Pa * least_Pa * s_hh
+    if held < inf:
+        squares += held * (least_Pa - s.modulus_Pa) ** 2
+    return squares, least_Pa, (s.f - least_Pa * s.h) / weight
 
 
 @compiled

@@ -22,7 +22,7 @@ from hilbench.estimation.web_line import unmodelled_filter as filters
 from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.estimation.web_line.block_means import BLOCK_S
 from hilbench.estimation.web_line.config import ModelErrorsConfig, Prior
-from hilbench.estimation.web_line.unmodelled_filter import FILTER, Record
+from hilbench.estimation.web_line.unmodelled_filter import FILTER
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -34,11 +34,6 @@ _HOLD_WALK: Final = 0.02
 #: Force that keeps a roller at rest, and friction at the onset, over the dry friction of a turning one: anything
 #: between both signs.
 _STUCK: Final = 0.6
-#: Random walks, as a share of the prior deviation, and their time (s): friction with the temperature of bearings and
-#: seals, an offset with that of a drive over a shift, the rest with the model's simplifications.
-_WARMING: Final = (0.15, 1200.0)
-_SHIFT: Final = (0.15, 28800.0)
-_SIMPLIFIED: Final = (0.1, 3600.0)
 #: Factor on the deviation of accelerating mass: the errors of a ramp's blocks are alike.
 _ALIKE_IN_A_RAMP: Final = 1.5
 #: Noise of the torque until it is measured: the method's default, N·m.
@@ -54,14 +49,14 @@ _STATES: Final = {
 }
 _NAMED: Final = ("torque_offset_Nm", "dry_friction_N", "viscous_friction_N_s_per_m", "creep_per_N")
 _FORCES: Final = ("torque_offset_Nm", "dry_friction_N", "viscous_friction_N_s_per_m")
-_TURNING: Final = (
-    filters.UNBALANCE_COS,
-    filters.UNBALANCE_SIN,
-    filters.COS2,
-    filters.SIN2,
-    filters.COS1,
-    filters.SIN1,
-)
+_TURNING: Final = (filters.UNBALANCE_COS, filters.UNBALANCE_SIN, filters.COS2, filters.SIN2, filters.COS1, filters.SIN1)
+#: Random walks, as a share of the prior deviation, and their time (s), of these states: an offset with that of a drive
+#: over a shift, friction with the temperature of bearings and seals, the rest with the model's simplifications.
+_WALKS: Final = {
+    (0.15, 28800.0): (filters.OFFSET,),
+    (0.15, 1200.0): (filters.DRY, filters.STRIBECK, filters.VISCOUS),
+    (0.1, 3600.0): (filters.SCALE, filters.MASS, filters.CREEP, *_TURNING),
+}
 
 
 def prior_deviations(config: ModelErrorsConfig, model: ModelParameters, force_per_torque_per_m: float) -> Array:
@@ -76,8 +71,7 @@ def prior_deviations(config: ModelErrorsConfig, model: ModelParameters, force_pe
     friction_N = 0.01 * config.friction_pct * tension_N
     priors = np.zeros(f.STATES)
     priors[f.OFFSET] = hypot(
-        0.01 * config.torque_offset_pct * limit_Nm * force_per_torque_per_m,
-        0.01 * config.strain_pct * tension_N,
+        0.01 * config.torque_offset_pct * limit_Nm * force_per_torque_per_m, 0.01 * config.strain_pct * tension_N
     )
     priors[f.DRY] = friction_N
     priors[f.STRIBECK] = priors[f.STUCK] = _STUCK * friction_N
@@ -112,17 +106,6 @@ def priors_behind(priors: Sequence[Prior], span: int, model: ModelParameters) ->
     return found
 
 
-def _wander(f: Record) -> None:
-    """Set the random walks of the states."""
-    for states, (share, time_s) in (
-        ((filters.OFFSET,), _SHIFT),
-        ((filters.DRY, filters.STRIBECK, filters.VISCOUS), _WARMING),
-        ((filters.SCALE, filters.MASS, filters.CREEP, *_TURNING), _SIMPLIFIED),
-    ):
-        for state in states:
-            f["wander"][state], f["wander_s"][state] = share**2, time_s
-
-
 @entry_point(VECTOR)
 def _interrupt(state: Array) -> None:
     filters.interrupt(viewed(state, FILTER)[0])
@@ -141,8 +124,8 @@ class UnmodelledEffects:
         cycle_s: float,
         priors: Sequence[Prior] = (),
     ) -> None:
-        self.state = np.zeros(FILTER.itemsize // 8)  #: a `FILTER`, for compiled callers
-        f, s = filters, self._record
+        self.state = np.zeros(1, FILTER)  #: for compiled callers
+        f, s = filters, self.state[0]
         s["force_per_torque_per_m"] = balance.force_per_torque_per_m
         deviations = prior_deviations(config, model, balance.force_per_torque_per_m)
         self._radius_m = model.radius_m(2)
@@ -151,7 +134,8 @@ class UnmodelledEffects:
         s["radius_1_m"], s["radius_2_m"] = model.radius_m(1), model.radius_m(2)
         s["tension_N"] = max(model.boundary.upstream_tension_N, model.boundary.downstream_tension_N)
         s["standstill_m_s"] = 5.0 * FRICTION_WIDTH_M_S
-        _wander(s)
+        for walk, states in _WALKS.items():
+            s["wander"][list(states)], s["wander_s"][list(states)] = walk[0] ** 2, walk[1]
         for prior in priors:
             at = _STATES[prior.quantity]
             unit = balance.force_per_torque_per_m if at == f.OFFSET else 1.0
@@ -170,27 +154,19 @@ class UnmodelledEffects:
         s["covariance"] = np.diag(s["prior"])
         s["covariance"][f.E, f.E], s["covariance"][f.DISTURBANCE, f.DISTURBANCE] = _INITIAL_E**2, s["unrest_N2"]
         s["spread_N"] = hypot(deviations[f.OFFSET], deviations[f.DRY])
-        self._set_groups()
-        self._set_cycle(cycle_s)
-
-    @property
-    def _record(self) -> np.void:
-        found: np.void = self.state.view(FILTER)[0]
-        return found
-
-    def _set_groups(self) -> None:
-        evidence, prior = self._record["evidence"], self._record["prior"]
+        evidence, prior = s["evidence"], s["prior"]
         members = [(at, number) for number, group in enumerate(filters.GROUPS) for at in group if prior[at] > 0.0]
         evidence["count"] = len(members)
         for place, (at, number) in enumerate(members):
             evidence["places"][place], evidence["groups"][place] = at, number
+        self._set_cycle(cycle_s)
 
     def _set_cycle(self, cycle_s: float) -> None:
-        self._record["cycle_s"], self._record["block"] = cycle_s, max(2, round(BLOCK_S / cycle_s))
+        self.state[0]["cycle_s"], self.state[0]["block"] = cycle_s, max(2, round(BLOCK_S / cycle_s))
 
     def interrupt(self) -> None:
         """Discard the current block: a cycle is missing or unusable."""
-        _interrupt(self.state)
+        _interrupt(self.state.view(np.float64))
 
     def set_cycle_time(self, cycle_s: float) -> None:
         """Set the cycle time; estimates are kept."""
@@ -200,16 +176,16 @@ class UnmodelledEffects:
     def hold(self, duration_s: float) -> None:
         """Skip a time without measurement: the variance of E grows, unmodelled effects stay."""
         self.interrupt()
-        self._record["covariance"][filters.E, filters.E] += _HOLD_WALK**2 * duration_s
+        self.state[0]["covariance"][filters.E, filters.E] += _HOLD_WALK**2 * duration_s
 
     def release(self) -> None:
         """Widen E after a change of the web."""
         self.interrupt()
-        self._record["covariance"][filters.E, filters.E] += _INITIAL_E**2
+        self.state[0]["covariance"][filters.E, filters.E] += _INITIAL_E**2
 
     def know(self, modulus_Pa: float, deviation_Pa: float, friction_N: float, friction_deviation_N: float) -> None:
         """Set E, and dry friction beyond the model's, from another source."""
-        s = self._record
+        s = self.state[0]
         reference_Pa = s["reference_Pa"]
         for at, value, deviation in (
             (filters.E, modulus_Pa / reference_Pa, deviation_Pa / reference_Pa),
@@ -223,7 +199,7 @@ class UnmodelledEffects:
         """Nuisance parameters estimated beyond the model; of the eccentricity (of roller 2) the amplitude. The mass is
         the one that the measured torque accelerates: its error and that of the torque's scale are not separable, and
         stated as one."""
-        s = self._record
+        s = self.state[0]
         mean, deviations = s["base"] + s["x"], np.sqrt(np.diag(s["covariance"]))
         priors = np.sqrt(s["prior"])
         rows = []

@@ -26,11 +26,10 @@ Ornstein-Uhlenbeck process, of which it is the increment.
 from __future__ import annotations
 
 from math import cos, exp, sin, sqrt
-from typing import Any
 
 import numpy as np
 
-from hilbench.compiled import compiled, inlined, noinline
+from hilbench.compiled import Record, compiled, inlined, noinline, record_type
 from hilbench.estimation import noise_level
 from hilbench.estimation.assumptions import CERTAIN, LATE, MOST_SQUARE, SHAKING
 from hilbench.estimation.bank import Array
@@ -50,86 +49,52 @@ GROUPS = (
     (UNBALANCE_COS, UNBALANCE_SIN, COS2, SIN2, COS1, SIN1),
 )
 
-_VECTOR, _SQUARE = (STATES,), (STATES, STATES)
+
+def _vectors(*names: str) -> list[tuple[str, str, tuple[int]]]:
+    """Fields with a value of each state."""
+    return [(name, "f8", (STATES,)) for name in names]
+
+
 #: State of a filter. Forces at the web, angles in rad; E and what is relative to it over `reference_Pa`.
 FILTER = np.dtype(
     [
-        # Derived from model, config and cycle.
-        ("cycle_s", "f8"),
-        ("block", "f8"),  # cycles of a block
-        ("mass_kg", "f8"),
-        ("span_m", "f8"),
-        ("reference_Pa", "f8"),
-        ("stiffness_N", "f8"),  # E·S at the reference E
-        ("force_per_torque_per_m", "f8"),
-        ("radius_1_m", "f8"),
-        ("radius_2_m", "f8"),
-        ("tension_N", "f8"),  # usual
-        ("standstill_m_s", "f8"),  # speed up to which a roller may be at rest
-        ("prior", "f8", _VECTOR),  # variances before anything is measured
-        ("wander", "f8", _VECTOR),  # random-walk variances, relative to the prior's
-        ("wander_s", "f8", _VECTOR),  # their time constants
-        ("base", "f8", _VECTOR),  # commissioned values: means of the prior
+        # Derived from model, config and cycle: cycles of a block; E·S at the reference E; usual tension; speed up to
+        # which a roller may be at rest. Variances before anything is measured; random-walk variances, relative to
+        # those, and their time constants; commissioned values: means of the prior.
+        *record_type("cycle_s", "block", "mass_kg", "span_m", "reference_Pa", "stiffness_N").descr,
+        *record_type("force_per_torque_per_m", "radius_1_m", "radius_2_m", "tension_N", "standstill_m_s").descr,
+        *_vectors("prior", "wander", "wander_s", "base"),
         # Estimates: deviations from `base` and their covariance, of which `growth` is the random walk's.
-        ("x", "f8", _VECTOR),
-        ("covariance", "f8", _SQUARE),
-        ("growth", "f8", _VECTOR),
-        # Parameters of the force correction, and their targets.
-        ("theta", "f8", _VECTOR),
-        ("target", "f8", _VECTOR),
-        ("correction_N", "f8"),
-        ("rebased_N", "f8"),  # its increase by parameter changes of this cycle, without rotating terms
-        ("spread_N", "f8"),  # its deviation
-        ("intercept_N", "f8"),  # the same for a web without tension
-        # Of this cycle and block.
-        ("now", "f8", _VECTOR),  # regressors
-        ("sums", "f8", _VECTOR),
-        ("row", "f8", _VECTOR),
-        ("y_N", "f8"),
-        ("count", "f8"),
-        ("began_m_s", "f8"),
-        # Motion and tension, filtered.
-        ("smooth_m_s", "f8"),
-        ("usual_m_s", "f8"),
-        ("directed_m_s", "f8"),
-        ("acceleration_m_s2", "f8"),
-        ("built_up_N", "f8"),
-        ("wobble", "f8", (4,)),  # cosine and sine of the rollers' angles, as a strain of the span
-        ("web_before_N", "f8"),
-        ("lagged_N", "f8"),  # mean of the tension at the reference E over the blocks before the last
-        ("mean_N", "f8"),  # the same over more of them
-        ("regressor_N", "f8"),  # the tension at the reference E that regressors are formed with
-        ("usual_web_N", "f8"),
-        ("web_swing_N2", "f8"),  # mean square deviation of the tension (`mean_N`) from its usual value
-        ("lag_swing_N2", "f8"),  # the same from the mean over the previous blocks
-        ("settled_s", "f8"),  # since the tension was in transition
-        ("beyond_N", "f8"),
-        ("at_rest", "f8"),  # share of the last block
-        ("excited", "f8"),  # all states are estimated
-        ("speeds_up_s", "f8"),  # how long the speed still counts as changing
-        ("steady_m_s", "f8"),  # the speed while it does not
-        ("evidence_s", "f8"),  # until the next evaluation of the evidence
-        # Innovations.
-        ("excess", "f8"),  # their square over what is expected
-        ("surprised", "f8"),
-        ("leaning", "f8"),
-        ("jumped_s", "f8"),  # since E has jumped
-        # Stated E: its lags, its variance.
-        ("modulus", "f8"),  # E that strains are turned into forces with
-        ("stated", "f8"),
-        ("soon_before", "f8"),
-        ("before", "f8"),
-        ("unrest_N2", "f8"),
-        ("stated_jumped", "f8"),
-        ("torque_noise", "f8", (noise_level.SIZE,)),
-        ("position_noise", "f8", (noise_level.SIZE,)),
-        ("orders", "f8", (periodic_disturbance.ORDERS, periodic_disturbance.COLUMNS)),
-        ("ripples", "f8", (periodic_disturbance.KEPT,)),
+        *_vectors("x", "growth"),
+        ("covariance", "f8", (STATES, STATES)),
+        # Parameters of the force correction, and their targets; the correction, its increase by parameter changes of
+        # this cycle, without rotating terms, its deviation, and that for a web without tension.
+        *_vectors("theta", "target"),
+        *record_type("correction_N", "rebased_N", "spread_N", "intercept_N").descr,
+        # Of this cycle and block: regressors, their sums, covariances of the innovation.
+        *_vectors("now", "sums", "row"),
+        *record_type("y_N", "count", "began_m_s").descr,
+        # Motion, filtered; strain built up by creep; cosine and sine of the rollers' angles, as a strain of the span.
+        *record_type("smooth_m_s", "usual_m_s", "directed_m_s", "acceleration_m_s2", "built_up_N").descr,
+        ("wobble", "f8", (4,)),
+        # Tension at the reference E: of the block before; means over the blocks before the last, and over more of them;
+        # what regressors are formed with; its usual value, and mean square deviations from it and from `lagged_N`; time
+        # since it was in transition.
+        *record_type("web_before_N", "lagged_N", "mean_N", "regressor_N", "usual_web_N", "web_swing_N2").descr,
+        *record_type("lag_swing_N2", "settled_s", "beyond_N").descr,
+        # Share of the last block at rest; whether all states are estimated; how long the speed still counts as
+        # changing, and the speed while it does not; time until the next evaluation of the evidence.
+        *record_type("at_rest", "excited", "speeds_up_s", "steady_m_s", "evidence_s").descr,
+        # Innovations: their square over what is expected; time since E has jumped.
+        *record_type("excess", "surprised", "leaning", "jumped_s").descr,
+        # E that strains are turned into forces with; stated E, its lags, its variance.
+        *record_type("modulus", "stated", "soon_before", "before", "unrest_N2", "stated_jumped").descr,
+        *[(name, "f8", (noise_level.SIZE,)) for name in ("torque_noise", "position_noise")],
+        ("orders", "f8", (periodic_disturbance.ORDERS, len(periodic_disturbance.ORDER.names or ()))),
+        ("ripples", periodic_disturbance.KEPT),
         ("evidence", EVIDENCE),
     ]
 )
-
-Record = Any
 
 #: Smoothing of the speed: of its sign, of the acceleration, and of what is usual, s.
 _DIRECTION_S, _ACCELERATION_S, _USUAL_SPEED_S = 0.02, 0.1, 0.5
@@ -194,7 +159,7 @@ def interrupt(f: Record) -> None:
     """Discard the current block: a cycle is missing or unusable."""
     f.count = 0.0
     f.soon_before = f.before = 0.0
-    periodic_disturbance.interrupt(f.ripples)
+    f.ripples.count = 0.0
 
 
 @inlined
@@ -275,18 +240,6 @@ def _use_modulus(f: Record, modulus: float) -> None:
     f.growth[CREEP] *= slope * slope
     for each in (f.base, f.x, f.theta, f.target):
         each[CREEP] /= ratio
-
-
-@compiled
-def _transport(f: Record, speed_m_s: float, uncrept_N: float, next_N: float, phi_1: float, phi_2: float) -> None:
-    """Mass transport of creep and eccentricity strains through the span, per unit of each, for a cycle. `uncrept_N`:
-    tension by the encoders' strain."""
-    share = min(abs(speed_m_s) * f.cycle_s / f.span_m, 1.0)
-    f.built_up_N += min(share / _left(f), 1.0) * (uncrept_N - next_N - f.built_up_N)
-    f.wobble[0] += share * (cos(phi_2) - f.wobble[0])
-    f.wobble[1] += share * (sin(phi_2) - f.wobble[1])
-    f.wobble[2] += share * (cos(phi_1) - f.wobble[2])
-    f.wobble[3] += share * (sin(phi_1) - f.wobble[3])
 
 
 @compiled
@@ -497,18 +450,6 @@ def _spread_N(f: Record, a: Array, modulus: float) -> float:
     return sqrt(max(variance, 0.0) + f.unrest_N2 + apart * apart)
 
 
-@compiled
-def _state_spread(f: Record, tension_N: float) -> None:
-    """State the deviation of the force correction now, and for a web without tension."""
-    a, b, modulus = f.now, f.row, f.stated
-    f.spread_N = _spread_N(f, a, modulus)
-    for i in range(STATES):
-        b[i] = 0.0 if i < OFFSET or _turns(i) else a[i]
-    b[SCALE] -= tension_N
-    b[CREEP] = f.stiffness_N * (tension_N - f.built_up_N)
-    f.intercept_N = _spread_N(f, b, modulus)
-
-
 @inlined
 def least_unrest_N2(tension_N: float) -> float:
     """Least variance of an intermittent force at a usual tension, N²."""
@@ -583,9 +524,21 @@ def take(
     ripple_N = periodic_disturbance.ripple_N(f.orders, motor_angle)
     f.y_N += force_N - ripple_N
     f.count += 1.0
-    _transport(f, velocity_m_s, web_N * f.modulus, next_N, phi_1, phi_2)
+    # Mass transport of creep and eccentricity strains through the span, per unit of each.
+    share = min(abs(velocity_m_s) * dt / f.span_m, 1.0)
+    f.built_up_N += min(share / _left(f), 1.0) * (web_N * f.modulus - next_N - f.built_up_N)
+    f.wobble[0] += share * (cos(phi_2) - f.wobble[0])
+    f.wobble[1] += share * (sin(phi_2) - f.wobble[1])
+    f.wobble[2] += share * (cos(phi_1) - f.wobble[2])
+    f.wobble[3] += share * (sin(phi_1) - f.wobble[3])
     if ended:
-        _state_spread(f, tension_N)
+        # The deviation of the force correction now, and for a web without tension.
+        f.spread_N = _spread_N(f, f.now, f.stated)
+        for i in range(STATES):
+            f.row[i] = 0.0 if i < OFFSET or _turns(i) else f.now[i]
+        f.row[SCALE] -= tension_N
+        f.row[CREEP] = f.stiffness_N * (tension_N - f.built_up_N)
+        f.intercept_N = _spread_N(f, f.row, f.stated)
         _look_at_stated(f, web_N)
     f.correction_N = force_of(f.now, f.theta, f.stated, True) + ripple_N
     if changed:

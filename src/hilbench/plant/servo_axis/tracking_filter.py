@@ -39,12 +39,6 @@ def follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -
     motion[2], motion[3] = a + gain[2] * off_rad, j + gain[3] * off_rad
 
 
-@entry_point(VECTOR, MATRIX, VECTOR)
-def _put_later(motion: Vector, forward: Matrix, out: Vector) -> None:
-    for place in range(ORDER):
-        out[place] = later(motion, forward, place)
-
-
 @entry_point(VECTOR, MATRIX, VECTOR, REAL)
 def _follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
     follow(motion, forward, gain, position_rad)
@@ -90,9 +84,3 @@ class TrackingFilter:
     def update(self, position_rad: float, duration_s: float) -> None:
         """Update by a position, `duration_s` after the previous one."""
         _follow(self.motion, transition(duration_s), gains(duration_s, self.filter_s), position_rad)
-
-    def predicted(self, lead_s: float) -> Vector:
-        """Motion (4,) predicted `lead_s` ahead, with constant jerk."""
-        motion = np.zeros(ORDER)
-        _put_later(self.motion, transition(lead_s), motion)
-        return motion

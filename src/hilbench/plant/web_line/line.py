@@ -71,14 +71,11 @@ class Line(SimulatedLine):
         self._elastic = any(_acts_on_elasticity(entry.effect) for entry in parameters.effects)
         self._observe()
 
-    first_axis = 0  #: index of the first roller of its first span, from 0
-
     @property
     def moduli(self) -> Vector:
-        """Parameter index of E of each span, and 1 for each; (2, K)."""
+        """Parameter index of E of each span (K,)."""
         layout = self._layout
-        places = layout.first_span + lay.SP_SIZE * np.arange(layout.spans) + lay.SP_MODULUS_PA
-        return np.array([places, np.ones(layout.spans)])
+        return layout.first_span + lay.SP_SIZE * np.arange(layout.spans, dtype=float) + lay.SP_MODULUS_PA
 
     @property
     def further_places(self) -> list[int]:

@@ -88,7 +88,7 @@ class ServoAxisTwin:
     def reset(self) -> None:
         """Reset to inertia and friction of the model, at rest."""
         shaft = self._model.shaft
-        friction = nan, 0.0, 0.0, shaft.coulomb_friction_Nm, shaft.viscous_friction_Nm_s_per_rad
+        friction = nan, 0.0, shaft.coulomb_friction_Nm, shaft.viscous_friction_Nm_s_per_rad
         self._outputs = np.array([(0.0, *friction, 0.0, 0.0)], cycle.OUTPUTS)
         self._shows = self._outputs[0]
         self._begin()
@@ -106,6 +106,7 @@ class ServoAxisTwin:
     def _set_cycle(self, cycle_s: float) -> None:
         self._cycle_s = cycle_s
         self._plausibility = Plausibility(self._limit_Nm, 0.0, 0.0, cycle_s)
+        self._estimator.set_cycle_time(cycle_s)
         self._shows["before_Nm"] = nan
 
     def freeze_adaptation(self, *, frozen: bool) -> None:
@@ -128,11 +129,7 @@ class ServoAxisTwin:
         speed_rad_s = (position_rad - then_rad) / self._cycle_s
         moves = abs(speed_rad_s) > _MOVES_RAD_S
         self.plant.set_state(
-            {
-                "x1_rad": position_rad,
-                "v1_rad_s": speed_rad_s if moves else 0.0,
-                "tau1_Nm": torque_Nm if moves else 0.0,
-            }
+            {"x1_rad": position_rad, "v1_rad_s": speed_rad_s if moves else 0.0, "tau1_Nm": torque_Nm if moves else 0.0}
         )
         self._shows["before_Nm"] = nan
         self._kept = (self._estimator.known(),)
@@ -185,7 +182,7 @@ class ServoAxisTwin:
     def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> ShaftInVectors:
         """Runner in vectors; see `VectorMachine`."""
         return ShaftInVectors(
-            self._estimator,
+            self._estimator.arrays,
             self._plausibility,
             self.plant,
             self._cycle_s,

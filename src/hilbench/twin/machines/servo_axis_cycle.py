@@ -1,9 +1,5 @@
 """Compiled cycle of the twin of a servo axis: `ServoAxisTwin.compare`, the step of its shaft and `published`, with the
-`TwinApplication` status for the next SYNC.
-
-It runs in stages: it returns the stage of a rare event, the interpreter does its part, and calls it again from the
-following stage. All state is in vectors, addressed by a table.
-"""
+`TwinApplication` status for the next SYNC. All state is in vectors, addressed by a table."""
 
 from __future__ import annotations
 
@@ -32,32 +28,23 @@ from hilbench.cycle_program import CompiledStage
 from hilbench.estimation.bank import Places
 from hilbench.estimation.plausibility import PLAUSIBILITY, Plausibility, find_problem
 from hilbench.estimation.servo_axis import inertia
-from hilbench.estimation.servo_axis.balance import ShaftSample
-from hilbench.estimation.servo_axis.inertia import InertiaArrays, InertiaEstimator
+from hilbench.estimation.servo_axis.inertia import InertiaArrays
 from hilbench.plant.sensor_rows import silence
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.shaft import ServoAxis
 from hilbench.plant.web_line import kernel, laws, rig_cycle
 from hilbench.plant.web_line import layout as line
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.twin.machines.machine import LOOK, WENT_ON, MachineVectors
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED
 
-#: Stages: start of a cycle; results of `inertia.take_next` for the interpreter; unusable measurement; resume with the
-#: estimate, or without; final codes.
-_COMPARE, NOT_NEXT, _MISLED, HOLD, _SIMULATE, _FINISH, _DONE, _LOOK = range(8)
-_STAGE_OF = {NOT_NEXT: inertia.NOT_NEXT, _MISLED: inertia.MISLED}
-#: Machine result of each final code.
-_ENDS = {_DONE: WENT_ON, _LOOK: LOOK}
-#: Torque residual, simulated torque (NaN: none) and its ripple; the `Problem`; estimated dry and viscous friction; the
-#: status of the last SYNC; the problem of the previous cycle.
+#: Torque residual, simulated torque (NaN: none); the `Problem`; estimated dry and viscous friction; the status of the
+#: last SYNC; the problem of the previous cycle.
 OUTPUTS: Final = record_type(
-    *("residual_Nm", "before_Nm", "ripple_Nm", "problem", "coulomb_Nm", "viscous_Nm_s_per_rad", "status"),
-    "problem_before",
+    *("residual_Nm", "before_Nm", "problem", "coulomb_Nm", "viscous_Nm_s_per_rad", "status", "problem_before")
 )
-#: Drive samples of a cycle, share of the inertia up to which its deviation counts as known.
-_FIGURES: Final = record_type("samples", "known")
+#: Cycle time, drive samples of a cycle, share of the inertia up to which its deviation counts as known.
+_FIGURES: Final = record_type("cycle_s", "samples", "known")
 #: Places in the integers of SYNC number and status; in the values of the outputs.
 _AT: Final = record_type("number", "status", of=np.int64)
 _PUBLISHED: Final = record_type(
@@ -91,13 +78,6 @@ class _ShaftArrays(NamedTuple):
     published: Annotated[Any, _PUBLISHED]
     plausibility: Annotated[Any, PLAUSIBILITY]
     estimator: InertiaArrays
-
-
-@compiled
-def _ripple_Nm(outputs: Record, out: Vector, simulated_Nm: float) -> float:
-    """Excess of the simulated torque's mean over that of both ends of the cycle."""
-    before_Nm, outputs.before_Nm = outputs.before_Nm, simulated_Nm
-    return 0.0 if isnan(before_Nm) else out[_MEAN] - 0.5 * (before_Nm + simulated_Nm)
 
 
 @compiled
@@ -149,24 +129,23 @@ def _run(stage: int, table: Places) -> int:
     a = arrays_in(table, _ShaftArrays)
     outputs, whole, at = a.outputs, a.whole, a.at
     position_rad, torque_Nm = a.measured[_POSITION], a.measured[_TORQUE]
-    if stage == _COMPARE:
-        outputs.residual_Nm, outputs.problem_before = torque_Nm - a.shown[_TORQUE], outputs.problem
-        outputs.problem = find_problem(a.plausibility, torque_Nm, 1.0, position_rad)
-        if outputs.problem != 0.0:
-            return HOLD
-        outputs.ripple_Nm = _ripple_Nm(outputs, a.plant.out, a.shown[_TORQUE])
-        found = inertia.take_next(a.estimator, position_rad, torque_Nm, outputs.ripple_Nm)
-        if found != inertia.TAKEN:
-            return NOT_NEXT if found == inertia.NOT_NEXT else _MISLED
-        stage = _SIMULATE
-    if stage == _SIMULATE:
+    outputs.residual_Nm, outputs.problem_before = torque_Nm - a.shown[_TORQUE], outputs.problem
+    outputs.problem = find_problem(a.plausibility, torque_Nm, 1.0, position_rad)
+    if outputs.problem != 0.0:
+        outputs.before_Nm = nan
+        inertia.hold(a.estimator, a.figures.cycle_s, False)
+    else:
+        # Excess of the simulated torque's mean over that of both ends of the cycle.
+        before_Nm, outputs.before_Nm = outputs.before_Nm, a.shown[_TORQUE]
+        ripple_Nm = 0.0 if isnan(before_Nm) else a.plant.out[_MEAN] - 0.5 * (before_Nm + a.shown[_TORQUE])
+        inertia.update(a.estimator, position_rad, torque_Nm, ripple_Nm)
         _simulate(a, position_rad)
     rig_cycle.step_by(int(a.figures.samples), table)
     _publish(a)
     outputs.status = whole[at.status]
     whole[at.status] = _status(a.estimator.stated, outputs.problem, a.figures.known)
     whole[at.number] = (whole[at.number] + 1) % _NUMBERS
-    return _DONE if outputs.problem == 0.0 and outputs.problem_before == 0.0 else _LOOK
+    return WENT_ON if outputs.problem == 0.0 and outputs.problem_before == 0.0 else LOOK
 
 
 def warm_up() -> None:
@@ -182,7 +161,7 @@ class ShaftInVectors:
 
     def __init__(
         self,
-        estimator: InertiaEstimator,
+        estimator: InertiaArrays,
         of_torque: Plausibility,
         plant: ServoAxis,
         cycle_s: float,
@@ -192,54 +171,30 @@ class ShaftInVectors:
         vectors: MachineVectors,
         fallback: Callable[[int], bool],
     ) -> None:
-        self._fallback = fallback
-        self._estimator, self._cycle_s, self._looks = estimator, cycle_s, looks
-        self._measured, self._outputs = vectors.measured, outputs
+        self._looks, self._outputs = looks, outputs
         step = plant.step_in_vectors(cycle_s)
-        self._arrays = _ShaftArrays(
+        arrays = _ShaftArrays(
             LineVectors(*plant.vectors),
             *(step.motors, vectors.asked, step.sensors, vectors.shown, *silence(len(step.motors))),
-            *(np.array([(step.samples, known)], _FIGURES), outputs, vectors.measured, vectors.values, vectors.whole),
+            np.array([(cycle_s, step.samples, known)], _FIGURES),
+            *(outputs, vectors.measured, vectors.values, vectors.whole),
             np.array([(vectors.number, vectors.status)], _AT),
             np.array(vectors.published, np.int64).view(_PUBLISHED),
             of_torque.state,
-            estimator.arrays,
+            estimator,
         )
-        self._take_table()
-
-    def _take_table(self) -> None:
-        """Update the table after a change of the estimator's arrays."""
-        self._of = self._estimator.table
-        self._arrays = self._arrays._replace(estimator=self._estimator.arrays)
-        self._table = table_of(self._arrays)
-        self.piece = CompiledStage(
-            _run, _COMPARE, self._arrays, continues=_DONE, fallback=self._fallback, table=self._table
-        )
+        #: See `machine.InVectors`.
+        self.piece = CompiledStage(_run, 0, arrays, continues=WENT_ON, fallback=fallback, table=table_of(arrays))
 
     def has_ended(self, code: int) -> bool:
-        """True if the cycle was completed; see `machine.InVectors`."""
-        return code in _ENDS
+        """True: each cycle is completed; see `machine.InVectors`."""
+        return True
 
     def go_on_from(self, code: int) -> int:
-        """Run the rest of a cycle; see `machine.InVectors`."""
-        if code not in _ENDS:
-            code = self._go_on_by_objects(code)
-        if code == _LOOK:
+        """Look at a problem that begins, lasts or ends; see `machine.InVectors`."""
+        if code == LOOK:
             self._looks()
-        return _ENDS[code]
-
-    def _go_on_by_objects(self, stage: int) -> int:
-        """Run an interpreted stage, then the compiled ones after it."""
-        if stage == HOLD:
-            self._outputs["before_Nm"] = nan
-            self._estimator.hold(self._cycle_s)
-        else:
-            position_rad, torque_Nm = self._measured.item(_POSITION), self._measured.item(_TORQUE)
-            sample = ShaftSample(self._cycle_s, position_rad, torque_Nm, float(self._outputs["ripple_Nm"][0]))
-            self._estimator.go_on_from(_STAGE_OF[stage], sample)
-        if self._of is not self._estimator.table:
-            self._take_table()
-        return _run(_FINISH if stage == HOLD else _SIMULATE, self._table)
+        return code
 
     def give(self) -> int:
         """Write back to the objects; see `machine.InVectors`."""

@@ -15,7 +15,7 @@ from hilbench.estimation.web_line.config import (
     SynchronizerConfig,
 )
 from hilbench.estimation.web_line.initial_strains import initial_strains
-from hilbench.estimation.web_line.rollers import Rollers
+from hilbench.estimation.web_line.rollers import Rollers, two_rollers
 from hilbench.estimation.web_line.span_estimator import UNKNOWN_AT_REST, UNKNOWN_STRAIN, Known, SpanEstimator
 from hilbench.estimation.web_line.span_estimator_cycle import LARGEST_STRAIN
 from hilbench.estimation.web_line.unmodelled_effects import priors_behind
@@ -24,14 +24,14 @@ from hilbench.plant.sample_coherence import SampleCoherence
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_travel_m
+from hilbench.topology.blocks import TwinConfig
 from hilbench.topology.signals import Shape
 from hilbench.twin.estimated_errors import EstimatedModelError
 from hilbench.twin.machines import web_line_cycle
-from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured
-from hilbench.twin.machines.web_line_cycle import EstimatedSpan, LineCycle
+from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured, TwinMachine
+from hilbench.twin.machines.web_line_cycle import LineCycle
 from hilbench.twin.machines.web_line_errors import as_effects
 from hilbench.twin.machines.web_other_spans import OtherSpans
-from hilbench.twin.machines.web_section import WebSection
 from hilbench.twin.machines.web_splice_tracker import SpliceTracker
 
 #: Largest step of a tension by a model switch from one cycle to the next, as a share of a usual one.
@@ -40,6 +40,17 @@ _LARGEST_STEP = 0.005
 #: SYNC in a ramp it is below its mean by half of that share. Between two tests: at 0.13 (the demonstrator at 4 ms) the
 #: correction costs E 1 % for a while where the period changes, at 0.73 a light web is broken without it.
 _RIPPLES_FROM = 0.2
+
+
+def twin(
+    model: ModelParameters, config: TwinConfig, shape: Shape, cycle_s: float, boundary_inputs: BoundaryInputs
+) -> TwinMachine:
+    """Twin of a line; modules of lines with stations are imported for these alone."""
+    if model.stations is None:
+        return WebLineTwin(model, config, cycle_s, boundary_inputs)
+    from hilbench.twin.machines.web_line_with_stations import LineWithStationsTwin
+
+    return LineWithStationsTwin(model, config, shape, cycle_s, boundary_inputs)
 
 
 class WebLineTwin:
@@ -63,20 +74,19 @@ class WebLineTwin:
         self._rollers = Rollers(model)
         self._several = len(spans) > 1
         shape = Shape(model.axis_count, (), len(spans), tuple(methods))
-        self._estimated: dict[int, EstimatedSpan] = {}
+        self._estimated: dict[int, SpanEstimator] = {}
         for span, method in methods.items():
             along = [other for other in spans if other != span and shape.shows(other) == span]
-            section = WebSection(model, self.plant, span, self._rollers, along)
             method = _over_rollers(method, model.axis_count - span)
             of_span = config.of_span(method, priors_behind(config.priors, span, model))
-            tracking = SpanEstimator(section.model, of_span, section, cycle_s)
-            self._estimated[span] = EstimatedSpan(span, section, tracking)
+            alone = two_rollers(model, span, self._rollers.arrays.masses_kg[span:].tolist())
+            self._estimated[span] = SpanEstimator(alone, of_span, self.plant, cycle_s, span, along)
         self._all = tuple(self._estimated.values())
         first, joined = self._all[0].span, list[SpanEstimator]()
         for span in range(first, len(spans) + 1):
             if span not in self._estimated:
                 break
-            joined.append(self._estimated[span].tracking)
+            joined.append(self._estimated[span])
         looks = self._several if config.splices is None else config.splices
         self._joined = joined if looks else []
         others = [span for span in spans if span not in methods]
@@ -87,7 +97,7 @@ class WebLineTwin:
         self._must_come_back = False
         self._set_cycle(cycle_s)
         #: The last checkpoints, oldest first.
-        self._kept: tuple[Sequence[Known], ...] = ([each.tracking.known() for each in self._all],)
+        self._kept: tuple[Sequence[Known], ...] = ([each.known() for each in self._all],)
 
     def _set_cycle(self, cycle_s: float) -> None:
         self._cycle_s = cycle_s
@@ -102,20 +112,20 @@ class WebLineTwin:
     def freeze_adaptation(self, *, frozen: bool) -> None:
         """Freeze adaptation of E; see `TwinMachine`."""
         for each in self._all:
-            each.tracking.freeze_adaptation(frozen=frozen)
+            each.freeze_adaptation(frozen=frozen)
 
     def set_cycle_time(self, cycle_s: float) -> None:
         """Set the cycle time; see `TwinMachine`."""
         self.plant.lock_to(cycle_s)
         self._set_cycle(cycle_s)
         for each, known in zip(self._all, self._kept[0], strict=True):
-            each.tracking.span.put_pieces(())
-            each.tracking.set_cycle_time(cycle_s, known)
+            each.put_pieces(())
+            each.set_cycle_time(cycle_s, known)
         self._last_at, self._must_come_back = None, True  # undo the travel of wrong cycles
 
     def keep(self) -> None:
         """Take a checkpoint, for `set_cycle_time`."""
-        self._kept = self._kept[-1], [each.tracking.known() for each in self._all]
+        self._kept = self._kept[-1], [each.known() for each in self._all]
 
     @property
     def problem(self) -> Problem | None:
@@ -125,47 +135,47 @@ class WebLineTwin:
     @property
     def problems(self) -> Mapping[int, Problem | None]:
         """Problem of each span."""
-        return {each.span if self._several else 0: each.tracking.problem for each in self._all}
+        return {each.span if self._several else 0: each.problem for each in self._all}
 
     @property
     def shift_span(self) -> int:
         """Span with the largest (or an undecided) torque shift; 0 with one span."""
         if not self._several:
             return 0
-        found = max(self._all, key=lambda each: (abs(each.tracking.torque_shift_Nm), each.tracking.torque_undecided))
+        found = max(self._all, key=lambda each: (abs(each.torque_shift_Nm), each.torque_undecided))
         return found.span
 
     @property
     def refused(self) -> bool:
         """True if a measured state was implausible in the last cycle and was not transferred."""
-        refused = any(each.tracking.refused for each in self._all)
+        refused = any(each.refused for each in self._all)
         return refused or (self._others is not None and self._others.refused)
 
     @property
     def synchronized(self) -> bool:
         """True if E of each span is known as configured, and the web is the one that was measured."""
-        return all(each.tracking.synchronized for each in self._all)
+        return all(each.synchronized for each in self._all)
 
     @property
     def separable(self) -> bool:
         """True if the data separate all nuisance parameters from E."""
-        return all(each.tracking.separable for each in self._all)
+        return all(each.separable for each in self._all)
 
     @property
     def torque_shift_Nm(self) -> float:
         """Compensated shift of the measured torque; of several spans the largest."""
-        return max([each.tracking.torque_shift_Nm for each in self._all], key=abs)
+        return max([each.torque_shift_Nm for each in self._all], key=abs)
 
     @property
     def torque_undecided(self) -> bool:
         """True if the torque has changed and the cause, E or a torque shift, is still undecided."""
-        return any(each.tracking.torque_undecided for each in self._all)
+        return any(each.torque_undecided for each in self._all)
 
     def reset(self) -> None:
         """Reset to the initially assumed E, at rest."""
         for each in self._all:
-            each.tracking.reset()
-        self._cycle.forget_residuals()
+            each.reset()
+        self._cycle.spans["residual_Nm"] = 0.0
         self._start_anew()
         at_rest = [0.0] * len(self.ports)
         self.plant.set_state(_states(self._boundary_inputs("strain_prev"), at_rest, at_rest, at_rest))
@@ -201,9 +211,9 @@ class WebLineTwin:
         unknown = UNKNOWN_STRAIN if moves else 0.0 if known_at_rest else UNKNOWN_AT_REST
         webs = initial_strains(self._model)
         for each in self._all:
-            each.tracking.release(unknown, webs, each.span - 1)
+            each.release(unknown, webs)
         self._start_anew()
-        self._kept = ([each.tracking.known() for each in self._all],)
+        self._kept = ([each.known() for each in self._all],)
         if self._others is not None:
             self._others.webs = webs
         self._cycle.steady.reset()
@@ -217,11 +227,11 @@ class WebLineTwin:
         positions_m = self._cycle.compare(positions_rad, torques_Nm, simulated_Nm, *boundary)
         if positions_m is None:
             return False
-        if any(each.tracking.moved for each in self._all):
+        if any(each.state["moved"] for each in self._all):
             self.plant.show()
         for each in self._all:
             rad_per_m = 1.0 / self._metres_per_rad[each.span]
-            each.tracking.look_for_known_change(self.ports[each.span].setpoint / rad_per_m)
+            each.look_for_known_change(self.ports[each.span].setpoint / rad_per_m)
         others = self._others
         if others is not None and self._transfer.strain:
             others.transfer(self.plant)
@@ -236,15 +246,15 @@ class WebLineTwin:
         upstream."""
         last, self._last_at = self._last_at, (time_s, positions_m)
         others = self._others
-        diverged = any(each.tracking.diverged for each in self._all) or (others is not None and others.diverged)
+        diverged = any(each.diverged for each in self._all) or (others is not None and others.diverged)
         if last is None or not (diverged or self._must_come_back):
             return
         self._must_come_back = False
         speeds = [(x - then) / (time_s - last[0]) for x, then in zip(positions_m, last[1], strict=True)]
         states = _states(self._boundary_inputs("strain_prev"), positions_m, speeds, torques_Nm)
-        strains = {each.span: each.tracking.span.strain for each in self._all}
+        strains = {each.span: each.strain for each in self._all}
         if others is not None:
-            strains |= others.strains
+            strains |= {span: others.strain(span) for span in others.spans}
         believed = {span: strain for span, strain in strains.items() if abs(strain) <= LARGEST_STRAIN}
         self.plant.set_state(states | {f"strain{span}": strain for span, strain in believed.items()})
 
@@ -260,18 +270,18 @@ class WebLineTwin:
         self._pairing.miss()
         self._cycle.steady.miss()
         for each in self._all:
-            each.tracking.miss()
+            each.miss()
 
     def listen(self) -> None:
         """Read the boundary inputs of the web."""
-        first = self._all[0].tracking
+        first = self._all[0]
         self.plant.set_boundary(
             first.upstream_strain(self._boundary_inputs("strain_prev")), self._boundary_inputs("F_next_N")
         )
 
     def found(self) -> Sequence[EstimatedModelError]:
         """Estimated errors of the model, of all spans."""
-        return [found for each in self._all for found in as_effects(each.tracking.errors, self._model, each.span)]
+        return [found for each in self._all for found in as_effects(each.errors, self._model, each.span)]
 
     @property
     def runs_in_vectors(self) -> bool:
@@ -280,7 +290,7 @@ class WebLineTwin:
         if self._others is not None or self.plant.changes_elasticity or self._must_come_back:
             return False
         # While it refuses measured states, the simulation may have to be reset.
-        return all(each.tracking.in_arrays and not each.tracking.refused for each in self._all)
+        return all(each.probing_step is None and not each.refused for each in self._all)
 
     def warm_up_in_vectors(self) -> None:
         """Compile, or load, the functions for running in vectors."""
@@ -301,7 +311,7 @@ class WebLineTwin:
         if isinstance(method, InputConfig) and self._several:
             raise ValueError(f"method {number}, expected one that corrects E: the line has several spans")
         for each in self._all:
-            each.tracking.use(method and _over_rollers(method, len(self.ports) - each.span))
+            each.use(method and _over_rollers(method, len(self.ports) - each.span))
 
     def published(self) -> tuple[float, ...]:
         """Tension of each span; where E is estimated also E, its deviation, and simulated torque and residual of the
@@ -311,10 +321,10 @@ class WebLineTwin:
             values.append(tension_N)
             each = self._estimated.get(span)
             if each is not None:
-                residual_Nm = self._cycle.residual_Nm(self._all.index(each))
-                modulus_Pa, deviation_Pa = each.tracking.modulus_and_deviation_Pa
+                residual_Nm = float(self._cycle.spans["residual_Nm"][self._all.index(each)])
+                modulus_Pa, deviation_Pa = each.modulus_and_deviation_Pa
                 # The effective E is stated, as of a measured web.
-                factor = line.elasticity_factor(span) * each.tracking.span.series_factor
+                factor = line.elasticity_factor(span) * float(each.state["series_factor"])
                 values += (factor * modulus_Pa, factor * deviation_Pa, self.ports[span].torque_Nm, residual_Nm)
         return tuple(values)
 

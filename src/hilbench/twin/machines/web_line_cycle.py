@@ -1,15 +1,14 @@
 """Compiled cycle of the twin of a web line: the comparison with the measurements; in vectors also `listen`, the step of
 its line and `published`, with the `TwinApplication` status for the next SYNC.
 
-It runs in stages as `span_estimator_cycle.run` does: it returns the stage of a rare event, the interpreter does its
-part, and calls it again from the following stage. All state is in vectors, addressed by a table: those of the line,
-then those of each span with its rollers, one span after the other.
+It runs in stages as `span_estimator_cycle` does: it returns the stage of a rare event, the interpreter does its part,
+and calls it again from the following stage. All state is in vectors, addressed by a table: those of the line, then
+those of each span with its rollers, one span after the other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import isnan, nan
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -19,7 +18,6 @@ from hilbench.compiled import (
     COUNT,
     TABLE,
     Reals,
-    Record,
     Wholes,
     arrays_in,
     compiled,
@@ -45,7 +43,6 @@ from hilbench.plant import sample_coherence
 from hilbench.plant.sample_coherence import IncrementCheck, SampleCoherence, coherent, increments_steadily
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_vectors, rig_cycle
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -53,7 +50,6 @@ from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.twin.machines import web_splice_tracker
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
 from hilbench.twin.machines.web_other_spans import OtherSpans
-from hilbench.twin.machines.web_section import WebSection
 from hilbench.twin.machines.web_splice_tracker import TRACKER, SpliceTracker
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED, TRANSFER_REFUSED
 
@@ -129,15 +125,6 @@ def _of_span(table: Places, k: int) -> SpanEstimatorArrays:
 
 
 @compiled
-def _torque_of_motors_Nm(shown: Vector, rad_per_m: Vector, span: int) -> float:
-    """Torque of the simulated motors after a span (from 0), referred to the first of them."""
-    total_Nm = 0.0
-    for axis in range(span + 1, len(rad_per_m)):
-        total_Nm += shown[rig_cycle.SHOWN * axis + _TORQUE] * (rad_per_m[axis] / rad_per_m[span + 1])
-    return total_Nm
-
-
-@compiled
 def _measured(a: _LineArrays) -> bool:
     """Read positions and torques; True if the positions are coherent (of one instant)."""
     x_m, measured, rad_per_m, figures = a.positions_m, a.measured, a.rad_per_m, a.figures
@@ -171,8 +158,10 @@ def _compare(a: _LineArrays, table: Places, first: int, strain_prev: float, F_ne
             strain_before, creep_ratio = strain_prev, 0.0
         elif isnan(strain_before):
             before = _of_span(table, k - 1)
-            strain_before = cycle.outlet_strain(before.t, balance.strain(before.balance))
+            # All pieces carry the same tension: the web leaves with the strain of the last one.
+            strain_before = balance.strain(before.balance) * before.t.series_factor / before.t.end_factor
             creep_ratio = before.t.creep_ratio
+            strain_before = cycle.equivalent_strain(strain_before, creep_ratio)
         if k > 0 and _of_span(table, k - 1).t.moved != 0.0:
             _show(a)
         span.strain_before = strain_before
@@ -185,10 +174,12 @@ def _compare(a: _LineArrays, table: Places, first: int, strain_prev: float, F_ne
         if len(x_m) > 2:
             torque_Nm += rollers.force_behind_N(a.rollers, place + 2) / rad_per_m[place + 1]
             centre_m = rollers.centre_m(a.rollers, place + 2)
-        torque_sim_Nm = _torque_of_motors_Nm(shown, rad_per_m, place)
+        torque_sim_Nm = 0.0  # of all motors after the span, referred to the first of them
+        for axis in range(place + 1, len(rad_per_m)):
+            torque_sim_Nm += shown[rig_cycle.SHOWN * axis + _TORQUE] * (rad_per_m[axis] / rad_per_m[place + 1])
         if isnan(strain_behind) and k + 1 < len(spans):
             behind = _of_span(table, k + 1)
-            strain_behind = cycle.reverse_outlet_strain(behind.t, balance.strain(behind.balance))
+            strain_behind = balance.strain(behind.balance) * behind.t.series_factor
         around = strain_before, F_next_N, centre_m, strain_behind, creep_ratio
         compared = x_m[place], x_m[place + 1], torque_Nm, torque_sim_Nm, *around
         stage = run_arrays(cycle.COMPARE, compared, table[_OWN + k * cycle.ROWS :])
@@ -210,55 +201,32 @@ def _show(a: _LineArrays) -> None:
 
 
 @compiled
-def _go_on(a: _LineArrays, strain_prev: float, F_next_N: float) -> None:
-    """Step the line."""
-    p, s, u, work, out = a.line
-    u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = strain_prev + a.figures.input_strain, F_next_N
-    samples = int(a.figures.samples)
-    rig_cycle.step(p, s, u, work, out, a.motors, a.asked, samples, a.sensors, a.silence, a.shown)
-
-
-@compiled
-def _publish(a: _LineArrays, t: Record, k: int) -> None:
-    """Compiled `WebLineTwin.published` of a span, from 0, of a line without effects on E."""
-    at, values, factor = a.published[k], a.values, t.series_factor
-    values[at.F_sim_N] = a.line.out[3 * int(a.line.p[lay.W_MOTORS]) + k]
-    values[at.E_sim_Pa] = factor * t.modulus_Pa
-    values[at.E_deviation_Pa] = factor * t.deviation_Pa
-    values[at.torque_sim_Nm] = a.shown[rig_cycle.SHOWN * (k + 1) + _TORQUE]
-    values[at.torque_residual_Nm] = a.spans[k].residual_Nm
-
-
-@compiled
-def _status(a: _LineArrays, table: Places) -> int:
-    """Compiled `TwinApplication._status` of a released machine with its configured model."""
-    synchronized, status = SYNCHRONIZED, RUNNING
-    for k in range(len(a.spans)):
-        v = _of_span(table, k)
-        t = v.t
-        if not cycle.is_synchronized(t, a.spans[k].known_pct):
+def _publish(a: _LineArrays, table: Places, compared: bool) -> tuple[int, bool]:
+    """Compiled `WebLineTwin.published`, of a line without effects on E, and `TwinApplication._status`, of a released
+    machine with its configured model; also true if the last torque report is still valid, where it was `compared`."""
+    spans, values, synchronized, status, valid = a.spans, a.values, SYNCHRONIZED, RUNNING, True
+    for k in range(len(spans)):
+        v, at = _of_span(table, k), a.published[k]
+        t, factor = v.t, v.t.series_factor
+        values[at.F_sim_N] = a.line.out[3 * int(a.line.p[lay.W_MOTORS]) + k]
+        values[at.E_sim_Pa] = factor * t.modulus_Pa
+        values[at.E_deviation_Pa] = factor * t.deviation_Pa
+        values[at.torque_sim_Nm] = a.shown[rig_cycle.SHOWN * (k + 1) + _TORQUE]
+        values[at.torque_residual_Nm] = spans[k].residual_Nm
+        if not cycle.is_synchronized(t, spans[k].known_pct):
             synchronized = 0
         if t.problem != 0.0:
             status |= HOLDING
         if t.refused != 0.0:
             status |= TRANSFER_REFUSED
-        separable = filters.separable(v.filters) if t.bank != 0.0 else a.spans[k].separable != 0.0
+        separable = filters.separable(v.filters) if t.bank != 0.0 else spans[k].separable != 0.0
         if not separable:
             status |= NOT_SEPARABLE
-    return status | synchronized
-
-
-@compiled
-def _is_published(a: _LineArrays, table: Places) -> bool:
-    """True if the last torque report is still valid."""
-    spans, boundary = a.spans, True
-    for k in range(len(spans)):
-        v = _of_span(table, k)
-        shift_Nm = v.t.shift_Nm
-        undecided = 1.0 if torque_shift.undecided(v.shift) else 0.0
-        boundary = boundary and spans[k].shift_Nm == shift_Nm and spans[k].undecided == undecided
-        spans[k].shift_Nm, spans[k].undecided = shift_Nm, undecided
-    return boundary
+        if compared:
+            undecided = 1.0 if torque_shift.undecided(v.shift) else 0.0
+            valid = valid and spans[k].shift_Nm == t.shift_Nm and spans[k].undecided == undecided
+            spans[k].shift_Nm, spans[k].undecided = t.shift_Nm, undecided
+    return status | synchronized, valid
 
 
 @entry_point(COUNT, TABLE)
@@ -279,15 +247,16 @@ def _run(stage: int, table: Places) -> int:
             return stage
     if a.figures.by_object != 0.0:
         return _COMPARED if stage == _FINISH else _WITHOUT
-    _go_on(a, strain_prev, F_next_N)
-    for k in range(len(a.spans)):
-        _publish(a, _of_span(table, k).t, k)
-    status = _status(a, table)
+    p, s, u, work, out = a.line
+    u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = strain_prev + a.figures.input_strain, F_next_N
+    samples = int(a.figures.samples)
+    rig_cycle.step(p, s, u, work, out, a.motors, a.asked, samples, a.sensors, a.silence, a.shown)
+    status, valid = _publish(a, table, stage == _FINISH)
     a.figures.status, whole[at.status] = whole[at.status], status
     whole[at.number] = (whole[at.number] + 1) % _NUMBERS
     if stage == _FINISH_WITHOUT:
         return _WITHOUT
-    return _DONE if _is_published(a, table) and not status & (HOLDING | TRANSFER_REFUSED) else _LOOK
+    return _DONE if valid and not status & (HOLDING | TRANSFER_REFUSED) else _LOOK
 
 
 def warm_up() -> None:
@@ -295,26 +264,17 @@ def warm_up() -> None:
     load(_run)
 
 
-@dataclass(slots=True)
-class EstimatedSpan:
-    """Span with an estimator of E."""
-
-    span: int
-    section: WebSection
-    tracking: SpanEstimator
-
-
 class LineCycle:
     """Comparison of a `WebLineTwin` with the measurements of a cycle, and, in vectors, all of its cycle; see
     `machine.InVectors`.
 
-    `estimated` (K,): spans with an estimator; `others`: those without, if any; `passage`: None without splice tracking;
+    `estimated` (K,): estimators of spans; `others`: those without, if any; `passage`: None without splice tracking;
     `ripples`: torques are corrected for their ripple.
     """
 
     def __init__(
         self,
-        estimated: Sequence[EstimatedSpan],
+        estimated: Sequence[SpanEstimator],
         model: ModelParameters,
         plant: Line,
         cycle_s: float,
@@ -332,14 +292,14 @@ class LineCycle:
         travels, self._positions_m = pairing_of_axes.vectors(axes)
         flags = ripples, passage is not None, others is not None, True
         self._figures = np.array([(least_m, 0.0, cycle_s, 0.0, *flags, 0.0, 0.0)], _FIGURES)
-        known = [(each.span - 1, each.tracking.config.synchronized_pct) for each in estimated]
+        known = [(each.span - 1, each.config.synchronized_pct) for each in estimated]
         rows = [(place, nan, nan, nan, pct, 1.0, 0.0, 0.0, nan, nan) for place, pct in known]
-        self._spans = np.array(rows, _SPAN)
+        self.spans = np.array(rows, _SPAN)  #: of each estimator
         tracker, sums = (np.zeros(1, TRACKER), np.zeros(1, SUMS)) if passage is None else passage.arrays
         rad_per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, axes + 1)])
         own = np.zeros(_MEASURED_SIZE * axes), np.zeros(axes), np.zeros(rig_cycle.SHOWN * axes)
         self._by_object = _LineArrays(
-            *(travels, self.steady.state, self._figures, self._spans, rad_per_m, self._positions_m, np.zeros(axes)),
+            *(travels, self.steady.state, self._figures, self.spans, rad_per_m, self._positions_m, np.zeros(axes)),
             *own,
             step.motors,
             *(step.sensors, step.silence, np.zeros(2)),
@@ -358,14 +318,6 @@ class LineCycle:
     def is_by_object(self) -> bool:
         """True if it is not in vectors: the line is stepped by its object."""
         return bool(self._figures["by_object"][0])
-
-    def residual_Nm(self, place: int) -> float:
-        """Torque of the axis after the span of an estimator, from 0, measured less simulated."""
-        return float(self._spans["residual_Nm"][place])
-
-    def forget_residuals(self) -> None:
-        """Reset the torque residuals."""
-        self._spans["residual_Nm"] = 0.0
 
     def compare(
         self,
@@ -388,7 +340,7 @@ class LineCycle:
         if code == MISSED:
             return None
         for each in self._estimated:
-            each.tracking.has_advanced()
+            each.has_advanced()
         positions_m: list[float] = self._positions_m.tolist()
         return positions_m
 
@@ -397,7 +349,7 @@ class LineCycle:
         self._fallback, boundary = fallback, vectors.boundary_places
         self._figures["samples"] = self._plant.step_in_vectors(self._cycle_s).samples
         self._figures["by_object"] = 0.0
-        self._spans["shift_Nm"] = self._spans["undecided"] = nan
+        self.spans["shift_Nm"] = self.spans["undecided"] = nan
         self._own = self._by_object._replace(
             measured=vectors.measured,
             asked=vectors.asked,
@@ -412,15 +364,15 @@ class LineCycle:
 
     def _take_method(self) -> None:
         """Update the table after a change of methods or their arrays."""
-        tables = [each.tracking.table for each in self._estimated]
+        tables = [each.table for each in self._estimated]
         if not self._of or any(now is not then for now, then in zip(tables, self._of, strict=True)):
             self._of = tables
             self._table = np.concatenate([table_of(self._own), *tables])
             self.piece = CompiledStage(
                 _run, cycle.COMPARE, self._own, continues=_DONE, fallback=self._fallback, table=self._table
             )
-        self._figures["input_strain"] = self._estimated[0].tracking.input_strain
-        self._spans["separable"] = [each.tracking.separable for each in self._estimated]
+        self._figures["input_strain"] = self._estimated[0].input_strain
+        self.spans["separable"] = [each.separable for each in self._estimated]
 
     def has_ended(self, code: int) -> bool:
         """True if the cycle was completed; see `machine.InVectors`."""
@@ -435,39 +387,35 @@ class LineCycle:
     def _go_on_by_objects(self, stage: int) -> int:
         """Run an interpreted stage, then the compiled ones after it."""
         for each in self._estimated:
-            each.tracking.has_advanced()
+            each.has_advanced()
         place, behind = int(self._figures["at_span"][0]), _SAME_SPAN
         each, x_m = self._estimated[place], self._positions_m.tolist()
-        strain_before = float(self._spans["strain_before"][place])
+        strain_before = float(self.spans["strain_before"][place])
         if stage == _UNPAIRED:
             for each in self._estimated:
-                each.tracking.miss()
+                each.miss()
             behind = _FINISH_WITHOUT
         elif stage == _OTHERS:
             self._follow_others(x_m)
         elif stage == _PLACE:
-            each.tracking.place(x_m[each.span - 1], x_m[each.span], strain_before)
+            each.place(x_m[each.span - 1], x_m[each.span], strain_before)
         elif stage == PASSAGE:
             assert self._splice_tracker is not None, "it said so"
             self._splice_tracker.update(x_m[self._estimated[0].span - 1 :])
             behind = _FINISH
         else:
-            each.tracking.go_on_from(stage, strain_before)
+            each.go_on_from(stage, strain_before)
             behind = _NEXT_SPAN
         self._take_method()
         return _run(behind, self._table)
 
     def _follow_others(self, x_m: Sequence[float]) -> None:
         """Follow the spans without an estimator; their strains are those around the spans with one."""
-        others, known, values, at = (
-            self._others,
-            [each.span for each in self._estimated],
-            self._own.values,
-            self._own.at[0],
-        )
+        others, values, at = self._others, self._own.values, self._own.at[0]
+        known = [each.span for each in self._estimated]
         assert others is not None, "they were asked for"
         others.follow(x_m, float(values[at["strain_prev"]]), float(values[at["F_next_N"]]), self._cycle_s)
-        for row, span in zip(self._spans, known, strict=True):
+        for row, span in zip(self.spans, known, strict=True):
             if span > 1 and span - 1 not in known:
                 creep_ratio = others.creep_ratio(span - 1)
                 strain = interpreted(cycle.equivalent_strain)(others.strain(span - 1), creep_ratio)
@@ -478,6 +426,6 @@ class LineCycle:
     def give(self) -> int:
         """Write back to the objects; see `machine.InVectors`."""
         for each in self._estimated:
-            each.tracking.has_advanced()
+            each.has_advanced()
         self._own, self._of, self._figures["by_object"] = self._by_object, [], 1.0
         return int(self._figures["status"][0])

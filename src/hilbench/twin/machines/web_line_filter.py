@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from hilbench.estimation.noise_level import NoiseLevels
+from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.web_line.augmented_filter import AugmentedFilter, Posterior
 from hilbench.estimation.web_line.transients import Transient
 from hilbench.plant.parameters import per_item
@@ -178,7 +178,7 @@ class LineFilter:
             Unknown(Kind.MODULUS, axes_before_spans(model)[carriage.first_span - 1]) for carriage in model.carriages
         }
         answer = DriveResponse(self._gains, self._rates, 1, self._cycle_s)
-        answer.set_inertia(self._inertia_kg_m2)
+        answer.set_inertia(self.inertia_kg_m2)
         #: Of each section with a carriage: index of its E, and its transient detector.
         self._transients = [
             (place, transient_detector(model, unknown.number, self._rows.tolist(), answer, self._cycle_s))
@@ -214,13 +214,12 @@ class LineFilter:
         self._model_share = hypot(_MODEL_SHARE, _OF_PRODUCT if unknown_at_rest else 0.0)
         identifies = not in_motion or not self._model.carriages
         self._identifies_moduli = identifies and any(each.kind is Kind.MODULUS for each in self.sensitivities.unknowns)
-        nothing = np.zeros_like(believed)
         common = sqrt(_MODULUS_SHARE**2 - _SECTION_SHARE**2)
-        moduli = self._moduli_apart(common, _SECTION_SHARE) if self._identifies_moduli else nothing
-        drifts = self._moduli_apart(common, _DRIFT_APART * _SECTION_SHARE) if self._identifies_moduli else nothing
+        moduli = self._moduli_apart(common, _SECTION_SHARE)
+        drifts = self._moduli_apart(common, _DRIFT_APART * _SECTION_SHARE)
         #: Covariance (p, p) of sudden changes of E, and of drift in a shift.
         at = np.ix_(self._is_modulus, self._is_modulus)
-        jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE) if self._identifies_moduli else nothing
+        jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE)
         self._jumps, self._drifts = jumps[at], drifts[at]
         seen_in_tension = np.concatenate([np.ones(len(self._axes), bool), self._sensors.tensions_N > 0.0])
         disturbed = np.concatenate([self._beside_carriages, np.zeros(len(self._sensors.tensions_N), bool)])
@@ -233,13 +232,16 @@ class LineFilter:
         swinging = np.concatenate(
             [_TRANSIENT_SHARE * self._beside_carriages * self._limits_Nm, 0.0 * self._sensors.offsets]
         )
-        rates = np.array([self._rate_per_m(each) for each in self.sensitivities.unknowns])
+        #: Deviation of a reel's radius change per m of web, over the initial radius, beyond the model's.
+        rates = np.zeros(len(self.sensitivities.unknowns))
+        for place, unknown in enumerate(self.sensitivities.unknowns):
+            if unknown.kind is Kind.RADIUS:
+                rates[place] = _THICKNESS_SHARE * abs(self.sensitivities.slope_per_m(unknown.number))
         self._filter = AugmentedFilter(
             believed + moduli, self._is_modulus, rates, self._offsets, swings, swings_on, swinging
         )
         self._set_growth()
-        limits_Nm = np.array(self._limits_Nm)
-        self._noise = NoiseLevels(0.01 * limits_Nm, 1e-4 * limits_Nm)
+        self._noise = [NoiseLevel(0.01 * limit_Nm, 1e-4 * limit_Nm) for limit_Nm in self._limits_Nm]
         self._positions_m, self._travel_m, self._window_travel_m = list(positions_m), 0.0, 0.0
         self._time_s = 0.0
         self._sensed = np.zeros(len(self._sensors.offsets))  # sensor residuals to the simulated line
@@ -270,14 +272,10 @@ class LineFilter:
             return self._model.upstream_strain * strained
         return _RADIUS_SHARE if unknown.kind is Kind.RADIUS else 0.0
 
-    def _rate_per_m(self, unknown: Unknown) -> float:
-        """Deviation of a reel's radius change per m of web, over the initial radius, beyond the model's."""
-        reel = unknown.kind is Kind.RADIUS
-        return _THICKNESS_SHARE * abs(self.sensitivities.slope_per_m(unknown.number)) if reel else 0.0
-
     def _moduli_apart(self, common: float, apart: float) -> Vector:
-        """Covariance of E of the sections: deviations common to the web, and of each by itself."""
-        moduli = self._is_modulus.astype(float)
+        """Covariance of E of the sections: deviations common to the web, and of each by itself; 0 if E is not
+        identified."""
+        moduli = self._is_modulus.astype(float) * self._identifies_moduli
         return common**2 * np.outer(moduli, moduli) + apart**2 * np.diag(moduli)
 
     def _shows_in_torques(self, unknown: Unknown) -> bool:
@@ -290,14 +288,9 @@ class LineFilter:
 
     def _set_inertia(self) -> None:
         """Update the inertia of reels by the web on them."""
-        self._inertia_kg_m2 = self._own_kg_m2 + self._wound_kg_m2 * self.sensitivities.ratios**4
-        self._response.set_inertia(self._inertia_kg_m2)
-
-    @property
-    def inertia_kg_m2(self) -> Vector:
-        """Inertia of each driven roller (N,) with the web on it now, at the motor."""
-        inertia_kg_m2: Vector = self._inertia_kg_m2
-        return inertia_kg_m2
+        #: Inertia of each driven roller (N,) with the web on it now, at the motor.
+        self.inertia_kg_m2: Vector = self._own_kg_m2 + self._wound_kg_m2 * self.sensitivities.ratios**4
+        self._response.set_inertia(self.inertia_kg_m2)
 
     @property
     def swings(self) -> bool:
@@ -352,7 +345,9 @@ class LineFilter:
             return True
         answered = self._response.torques_Nm
         left = (residuals_Nm - answered[:, -1])[self._rows]
-        self._noise.update(left)
+        for level, left_Nm in zip(self._noise, left.tolist(), strict=True):
+            level.update(left_Nm)
+        self._variances_Nm2 = np.array([level.variance for level in self._noise])
         if not limited and self._look_for_transients(time_s, left):
             self._response.step(self._loads)
             self._begin_window()
@@ -376,7 +371,7 @@ class LineFilter:
         speeds = self._rad_per_m * self.sensitivities.line.v_m_s
         before, self._speeds_rad_s = self._speeds_rad_s, speeds
         if self._emulated and before is not None:
-            lacking_kg_m2 = self._inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2
+            lacking_kg_m2 = self.inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2
             self._loads[:, -1] += lacking_kg_m2 * (speeds - before) / self._followed_s
 
     def _correct(self, time_s: float) -> bool:
@@ -388,11 +383,12 @@ class LineFilter:
         innovations, slopes = self._sum / count, self._slopes / count
         if learns is None and self._travel_m < self._moduli_from_m:
             learns = self._learns_no_modulus
-        variances, jumps = self._variances(count), (self._jumps, self.sensitivities.web_changed())
-        variances[: len(self._axes)] += self._inertial_variances(lasted_s)
+        variances, jumps = self._variances(count, lasted_s), (self._jumps, self.sensitivities.web_changed())
         changes = self._filter.update(innovations, slopes, variances, jumps, learns)
         if self._filter.has_begun_to_change:
-            self._answer_from_now(count // 2)
+            # The drives' response restarts from a change of the web in the middle of the window.
+            web = [i for i, each in enumerate(unknowns) if each.kind in (Kind.MODULUS, Kind.STRAIN)]
+            self._response.answer_from(count // 2, web, self._loads)
             self._undecided_from_m = inf
             return False
         if learns is None:
@@ -453,7 +449,7 @@ class LineFilter:
         if not self._identifies_moduli or self._slips or self._time_s < _TRANSIENTS_FROM_S:
             self._forget_transients()
             return False
-        variances = self._least_variances + self._noise.variances
+        variances = self._least_variances + self._variances_Nm2
         found = [(place, watch.take(left_Nm, variances)) for place, watch in self._transients]
         for place, transient in found:
             if transient is not None:
@@ -577,11 +573,6 @@ class LineFilter:
         self._corrected = self._corrected + moduli
         self._apply(back - moduli)
 
-    def _answer_from_now(self, cycles: int) -> None:
-        """Restart the drives' response from a change of the web so many cycles ago."""
-        web = [i for i, each in enumerate(self.sensitivities.unknowns) if each.kind in (Kind.MODULUS, Kind.STRAIN)]
-        self._response.answer_from(cycles, web, self._loads)
-
     def _bounded(self, unknown: Unknown, change: float) -> float:
         if unknown.kind is Kind.MODULUS:
             at = self.sensitivities.modulus_factor(unknown.number) - 1.0
@@ -612,20 +603,17 @@ class LineFilter:
                 growth[at, at] = (per_sqrt_s * self._model.upstream_strain) ** 2 * time_s
         return self._left, growth, travel_m
 
-    def _variances(self, count: int) -> Vector:
-        noise = self._noise.variances / count + (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
-        swing = exp(-self._time_s / _SWING_S)
-        noise += (_SWING_SHARE * np.array(self._limits_Nm) * swing) ** 2
-        sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
-        return np.concatenate([noise, sensors])
-
-    def _inertial_variances(self, lasted_s: float) -> Vector:
-        """Inertial variances of torques (m,) in a window of this duration."""
+    def _variances(self, count: int, lasted_s: float) -> Vector:
+        """Variances of a window of so many cycles: noise of torques, and by their inertia, then of sensors."""
+        limits_Nm, swing = np.array(self._limits_Nm), exp(-self._time_s / _SWING_S)
+        noise = self._variances_Nm2 / count + (_LEAST_NOISE_SHARE * limits_Nm) ** 2
+        noise += (_SWING_SHARE * limits_Nm * swing) ** 2
         speeds_m_s = self.sensitivities.line.v_m_s[self._rows]
         before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
         rates = self._rad_per_m[self._rows] * (speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
-        variances: Vector = (_INERTIA_SHARE * self._inertia_kg_m2[self._rows] * rates) ** 2
-        return variances
+        noise += (_INERTIA_SHARE * self.inertia_kg_m2[self._rows] * rates) ** 2
+        sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
+        return np.concatenate([noise, sensors])
 
     # -- estimates ---------------------------------------------------------------------------------------
 

@@ -60,7 +60,7 @@ class _Pair:
 
     def __init__(self, model: ModelParameters, cycle_s: float) -> None:
         axes = range(1, model.axis_count + 1)
-        self._ports, self._twins = ([_standing() for _ in axes] for _ in range(2))
+        self._ports, self._twins = ([MotorPort(mode=MotorMode.VELOCITY) for _ in axes] for _ in range(2))
         self.line, self._closed = Line(model, self._ports), Line(model, self._twins)
         self._followed: LineFollower = damped_follower(model)
         self._per_m = [model.motor_rad_per_m(axis) for axis in axes]
@@ -86,9 +86,3 @@ class _Pair:
         self._closed.step(self._cycle_s)
         self._followed.follow(self._positions_m, self._cycle_s)
         self._transfer()
-
-
-def _standing() -> MotorPort:
-    port = MotorPort()
-    port.mode, port.setpoint = MotorMode.VELOCITY, 0.0
-    return port

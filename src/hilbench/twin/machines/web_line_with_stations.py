@@ -158,7 +158,8 @@ class LineWithStationsTwin:
             self._boundary_inputs("strain_prev"), self._boundary_inputs("F_next_N")
         )
         self._unknowns.follow(positions, self._elapsed_cycles * self._cycle_s)
-        self._let_out(abs(positions[-1] - self._positions_m[-1]))
+        self._unknown_m = max(self._unknown_m - abs(positions[-1] - self._positions_m[-1]), 0.0)
+        self.synchronized = self._unknown_m == 0.0
         self._positions_m, self._missed = positions, 0
         self._look_for_breaks(time_s, positions, [torque for _, torque in measured])
         left = np.array([torque - port.torque_Nm for (_, torque), port in zip(measured, self.ports, strict=True)])
@@ -166,7 +167,9 @@ class LineWithStationsTwin:
         limited, since_s = self._limited or self._watch.doubtful or self._frozen, self._watch.slips_since_s
         if self._unknowns.compare(time_s, left, limited=limited, slips_since_s=since_s):
             self._watch.corrected(self._unknowns.sensitivities)
-            self._take_moduli()
+            for span, axis in enumerate(self._before, 1):
+                name = f"span{span}.youngs_modulus_Pa" if len(self._before) > 1 else "youngs_modulus_Pa"
+                self.plant.set_parameter(name, self._modulus(span, axis).value)
         belied_N = self._watch.take_belied()
         if belied_N:
             self._unknowns.put_tensions(belied_N)
@@ -183,17 +186,6 @@ class LineWithStationsTwin:
             unknowns = self._unknowns
             inertia_kg_m2, swings = unknowns.inertia_kg_m2, unknowns.swings
             self._watch.look(time_s, positions_m, torques_Nm, unknowns.sensitivities, inertia_kg_m2, swings=swings)
-
-    def _let_out(self, travel_m: float) -> None:
-        """Account for web that has left the line."""
-        self._unknown_m = max(self._unknown_m - travel_m, 0.0)
-        self.synchronized = self._unknown_m == 0.0
-
-    def _take_moduli(self) -> None:
-        """Set E of the closed line to the estimate."""
-        for span, axis in enumerate(self._before, 1):
-            name = f"span{span}.youngs_modulus_Pa" if len(self._before) > 1 else "youngs_modulus_Pa"
-            self.plant.set_parameter(name, self._modulus(span, axis).value)
 
     def _modulus(self, span: int, axis: int) -> Found:
         return self._unknowns.modulus(axis, self._model.youngs_modulus_Pa(span))
@@ -225,13 +217,9 @@ class LineWithStationsTwin:
         """Read the boundary inputs of the web."""
         self.plant.set_input("strain_prev", self._boundary_inputs("strain_prev"))
         self.plant.set_input("F_next_N", self._boundary_inputs("F_next_N"))
-        for name, force_N in self._forces():
-            self.plant.set_input(name, force_N)
-            self._unknowns.sensitivities.set_input(name, force_N)
-
-    def _forces(self) -> list[tuple[str, float]]:
-        """Forces on carriages with a stated force, from the last SYNC on."""
-        return [(force_input(name), self._boundary_inputs(signal)) for name, signal in self._shape.forces]
+        for name, signal in self._shape.forces:  # on carriages with a stated force, from the last SYNC on
+            self.plant.set_input(force_input(name), self._boundary_inputs(signal))
+            self._unknowns.sensitivities.set_input(force_input(name), self._boundary_inputs(signal))
 
     def found(self) -> Sequence[EstimatedModelError]:
         """Empty: estimates are published as signals."""

@@ -21,7 +21,7 @@ class OtherSpans:
     def __init__(self, model: ModelParameters, spans: Sequence[int], strain_limit: float) -> None:
         self._web = LineFollower(model)
         self._creeps_per_N, self._behind_N = creeps_per_N(model), model.boundary.downstream_tension_N
-        self._spans = tuple(spans)
+        self.spans = tuple(spans)
         self._limit = strain_limit
         self._passed_m = PASSED_SPANS * max(model.span_length_m(span) for span in range(1, model.span_count + 1))
         self._moduli = [f"span{span}.youngs_modulus_Pa" for span in range(1, model.span_count + 1)]
@@ -47,7 +47,7 @@ class OtherSpans:
         travels_m = [x - then for x, then in zip(positions_m, self._last_m, strict=True)] if self._running else []
         travel_m = abs(travels_m[0]) if travels_m else 0.0
         if self.webs is not None and travels_m:
-            for span in self._spans:
+            for span in self.spans:
                 self.webs.move(span - 1, travels_m[span] / cycle_s, cycle_s)
         self._refused_m = self._refused_m + travel_m if self.refused else 0.0
         self._refused_s = self._refused_s + cycle_s if self.refused else 0.0
@@ -70,17 +70,12 @@ class OtherSpans:
             behind_N = float(tensions[span])
         return self._creeps_per_N[span - 1] * (float(tensions[span - 1]) - behind_N)
 
-    @property
-    def strains(self) -> dict[int, float]:
-        """Measured strains, by span."""
-        return {span: self.strain(span) for span in self._spans}
-
     def transfer(self, line: Line) -> None:
         """Transfer the measured strains to the line, unless they are implausible."""
         states = {}
         self.refused = False
         measured, simulated = self._web.strain.tolist(), line.strain.tolist()
-        for at in self._spans:
+        for at in self.spans:
             if abs(measured[at - 1] - simulated[at - 1]) <= self._limit:
                 states[f"strain{at}"] = measured[at - 1]
             else:

@@ -14,7 +14,6 @@ from math import isinf
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.compiled import Record, compiled, record_type
 from hilbench.estimation.web_line import splices
@@ -68,7 +67,7 @@ class _Span:
 
     def put(self) -> None:
         """Set these joints in the measured web."""
-        self.tracking.span.put_pieces(
+        self.tracking.put_pieces(
             [
                 Piece(inside.joint.front_m, min(inside.joint.length_m, _ENDLESS_M), inside.joint.relative_change)
                 for inside in self.joints
@@ -82,19 +81,15 @@ class SpliceTracker:
     def __init__(self, trackings: Sequence[SpanEstimator], cycle_s: float) -> None:
         self._spans = [_Span(tracking) for tracking in trackings]
         first = trackings[0]
-        self._finder = SpliceFinder(first.span.length_m, first.span.mass_kg, cycle_s)
+        self._finder = SpliceFinder(first.length_m, first.mass_kg, cycle_s)
         self._cycle_s = cycle_s
-        self._tracker = np.zeros(1, TRACKER)
-        self._state = self._tracker[0]
+        #: State of the tracker and sums of its finder, for compiled callers of `passes`.
+        self.arrays = np.zeros(1, TRACKER), self._finder.sums
+        self._state = self.arrays[0][0]
         self._state["every"] = max(1, round(_REMEMBERED_S / cycle_s))
         #: Checkpoints of the first span, by the position of the roller before it, m.
         self._memories: deque[tuple[float, Known]] = deque(maxlen=round(_LONGEST_S / _REMEMBERED_S))
         self.reset()
-
-    @property
-    def arrays(self) -> tuple[NDArray[np.void], NDArray[np.void]]:
-        """State of the tracker and sums of its finder, for compiled callers of `passes`."""
-        return self._tracker, self._finder.sums
 
     def reset(self) -> None:
         """Forget all joints: the web is uniform."""
@@ -117,8 +112,10 @@ class SpliceTracker:
         self._remember(first, positions_m[0])
         self._follow_seeming(first)
         tracking = first.tracking
-        entered = self._finder.update(tracking.used, positions_m[0], self._seeming / tracking.span.series_factor)
-        tracking.other_web_suspected = self._finder.suspects
+        entered = self._finder.update(
+            tracking.used, positions_m[0], self._seeming / float(tracking.state["series_factor"])
+        )
+        tracking.state["other_web"] = self._finder.suspects
         if entered is not None:
             self._enter(first, entered)
         for place, span in enumerate(self._spans):
@@ -128,7 +125,7 @@ class SpliceTracker:
         if entered is None and self._seeming != 1.0 and not first.joints:
             self._look_anew()
         self._state["joints"] = any(span.joints for span in self._spans)
-        self._state["strain"] = first.tracking.span.strain
+        self._state["strain"] = first.tracking.strain
 
     @property
     def _seeming(self) -> float:
@@ -139,7 +136,7 @@ class SpliceTracker:
         tracking = first.tracking
         before = self._known_before(entered.joint)
         known = before._replace(youngs_modulus_Pa=before.youngs_modulus_Pa * (1.0 + entered.relative_change))
-        tracking.believe(known, tracking.span.strain * self._seeming * entered.strain_ratio)
+        tracking.believe(known, tracking.strain * self._seeming * entered.strain_ratio)
         first.joints = [] if entered.joint is None else [_Inside(entered.joint)]
         first.put()
         self._state["seeming"] = 1.0 / entered.strain_ratio
@@ -160,20 +157,22 @@ class SpliceTracker:
     def _follow_seeming(self, first: _Span) -> None:
         """Update the apparent strain without a joint: as if all web in the span were alike."""
         tracking, before = first.tracking, float(self._state["strain"])
-        strain, now = tracking.span.strain, tracking.used
+        strain, now = tracking.strain, tracking.used
         if not first.joints or now is None or not strain > 0.0:
             return
-        share = abs(now.velocity_m_s) * self._cycle_s / tracking.span.length_m
-        seems = self._seeming * before
-        self._state["seeming"] = (seems + strain - before + share * (tracking.span.leaving_strain - seems)) / strain
+        share = abs(now.velocity_m_s) * self._cycle_s / tracking.length_m
+        seems, t = self._seeming * before, tracking.state
+        # All pieces carry the same tension, each with its own strain.
+        leaving = strain * float(t["series_factor"]) / float(t["end_factor"])
+        self._state["seeming"] = (seems + strain - before + share * (leaving - seems)) / strain
 
     def _hand_on(self, span: _Span, behind: _Span | None, before_m: float, behind_m: float) -> None:
         """Move joints that have passed a span to the next one; a span filled by the new web takes its E."""
-        stretch, unstretched_m = 1.0 + span.tracking.span.strain, span.tracking.span.unstretched_m
+        stretch = 1.0 + span.tracking.strain
         passed = []
         for inside in span.joints:
             joint = inside.joint
-            beyond_m = (before_m - joint.front_m) / stretch - unstretched_m
+            beyond_m = (before_m - joint.front_m) / stretch - span.tracking.length_m / stretch
             if beyond_m >= 0.0 and not inside.handed_on:
                 inside.handed_on = True
                 if behind is not None:

@@ -15,7 +15,7 @@ import numpy as np
 from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line.config import EkfConfig
 from hilbench.estimation.web_line.synchronizers import filters, kalman
-from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, Synchronizer, SyncSample
+from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, SyncSample
 from hilbench.estimation.web_line.synchronizers.filters import Filters
 
 #: Memory of the innovations' short mean, in samples; its variance for white ones is 1/(2·8).
@@ -24,14 +24,12 @@ _MEMORY = 8.0
 _FROM = 20.0
 
 
-class EkfSynchronizer(Synchronizer):
+class EkfSynchronizer(Filters):
     """Extended Kalman filter; state as in `kalman`."""
 
     def __init__(self, config: EkfConfig, plant: Plant) -> None:
-        self._config = config
-        self._reference_Pa = plant.youngs_modulus_Pa
-        self._filters = Filters(config, plant, (0.0, 0.0, 1))
-        bank = self._filters.arrays.bank
+        super().__init__(config, plant, (0.0, 0.0, 1))
+        self._config, bank = config, self.arrays.bank
         self._z, self._p, self._work = bank.z[:, 0], bank.p[:, :, 0], bank.work
         self._mean = 0.0
         self._nuisances_before: deque[Array] = deque(maxlen=2 * round(_MEMORY))
@@ -39,31 +37,21 @@ class EkfSynchronizer(Synchronizer):
     def update(self, sample: SyncSample) -> Estimate:
         """Predict and correct."""
         c = self._config
-        if self._filters.take(filters.FILL, sample):
+        if self.take(filters.FILL, sample):
             opened = min(max(self._mean**2 * 2.0 * _MEMORY / _FROM - 1.0, 0.0), 1.0)
             walk = 0.01 * (c.drift_pct_per_sqrt_s + opened * c.jump_pct_per_sqrt_s)
-            self._filters.inputs["parameter_variance_per_s"] = walk**2
-            self._filters.act(filters.STEP)
-            self._keep_beside(opened)
+            self.inputs["parameter_variance_per_s"] = walk**2
+            self.act(filters.STEP)
+            before, beside = self._nuisances_before, self._z[kalman.OFFSET :]
+            if opened > 0.0 and before:
+                beside[:] = before[0]
+            else:
+                before.append(beside.copy())
             normalized = self._work.item(kalman.SIZE + 1) / sqrt(self._work.item(kalman.SIZE + 2))
             self._mean += (min(max(normalized, -5.0), 5.0) - self._mean) / _MEMORY
-        return self._estimate()
+        return self.estimate
 
-    def _keep_beside(self, opened: float) -> None:
-        before, beside = self._nuisances_before, self._z[kalman.OFFSET :]
-        if opened > 0.0 and before:
-            beside[:] = before[0]
-        else:
-            before.append(beside.copy())
-
-    def rebase(self, change_Pa: float) -> None:
-        """Shift E."""
-        self._z[kalman.E] += change_Pa / self._reference_Pa
-
-    def hold(self, duration_s: float) -> Estimate:
-        """Widen E (random walk); reset position and velocity."""
-        self._filters.hold(duration_s)
-        return self._estimate()
-
-    def _estimate(self) -> Estimate:
-        return self._filters.estimate(self._z, np.sqrt(np.diag(self._p)))
+    @property
+    def estimate(self) -> Estimate:
+        """Estimate of the last cycle."""
+        return self._estimate_by(self._z, np.sqrt(np.diag(self._p)))

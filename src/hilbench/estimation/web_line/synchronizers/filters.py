@@ -23,18 +23,19 @@ from hilbench.compiled import (
     table_of,
 )
 from hilbench.estimation import bank, motion_filter, noise_level
-from hilbench.estimation.assumptions import (
-    POSITION_FLOOR_M,
-    POSITION_NOISE_M,
-    SEPARABLE,
-    SHAKING,
-    TORQUE_FLOOR_NM,
-)
+from hilbench.estimation.assumptions import POSITION_FLOOR_M, POSITION_NOISE_M, SEPARABLE, SHAKING, TORQUE_FLOOR_NM
 from hilbench.estimation.bank import Array, BankArrays, Places
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.web_line.config import ChangepointConfig, EkfConfig
 from hilbench.estimation.web_line.synchronizers import kalman
-from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, SyncSample, estimate_of, prior_deviations
+from hilbench.estimation.web_line.synchronizers.base import (
+    Estimate,
+    Plant,
+    Synchronizer,
+    SyncSample,
+    estimate_of,
+    prior_deviations,
+)
 
 #: Smoothing of the acceleration that the mass error is weighed by.
 _ACCELERATION_S: Final = 0.02
@@ -64,17 +65,10 @@ class FilterArrays(NamedTuple):
 
 
 @compiled
-def fill(
-    f: FilterArrays,
-    cycle_s: float,
-    torque_Nm: float,
-    x2_m: float,
-    force_N: float,
-    web_per_Pa: float,
-    velocity_m_s: float,
-) -> bool:
+def _fill(f: FilterArrays, sample: tuple[float, ...]) -> bool:
     """Fill the inputs by the balance of this cycle: means over the cycle, and their noise; False for the first of a
-    row, which has no previous cycle."""
+    row, which has no previous cycle. `sample`: cycle time, torque, position of roller 2, force, h = F/E, speed."""
+    cycle_s, torque_Nm, x2_m, force_N, web_per_Pa, velocity_m_s = sample
     u, s = f.inputs, f.cycle
     noise_level.take(f.torque, torque_Nm)
     noise_level.take(f.position, x2_m)
@@ -111,17 +105,10 @@ def fill(
 
 
 @compiled
-def follow(
-    f: FilterArrays,
-    cycle_s: float,
-    torque_Nm: float,
-    x2_m: float,
-    force_N: float,
-    web_per_Pa: float,
-    velocity_m_s: float,
-) -> bool:
-    """Step all hypotheses by one cycle and add the births of the next; False for the first of a row of cycles."""
-    if not fill(f, cycle_s, torque_Nm, x2_m, force_N, web_per_Pa, velocity_m_s):
+def follow(f: FilterArrays, sample: tuple[float, ...]) -> bool:
+    """Step all hypotheses by one cycle (`_fill`) and add the births of the next; False for the first of a row of
+    cycles."""
+    if not _fill(f, sample):
         return False
     b = f.bank
     z, p, out, shares = b.z, b.p, b.out, b.shares
@@ -182,43 +169,67 @@ def separable(f: FilterArrays) -> bool:
     return True
 
 
-#: Actions on the filters: none; fill the inputs; step the one filter alone, or all hypotheses; update the stated E;
-#: shift E.
-NOTHING, FILL, STEP, FOLLOW, STATE, REBASE = range(6)
+#: Actions on the filters: none; start the first; fill the inputs; step the one filter alone, or all hypotheses; update
+#: the stated E; shift E; hold.
+NOTHING, START, FILL, STEP, FOLLOW, STATE, REBASE, HOLD = range(8)
+
+
+@compiled
+def _hold(f: FilterArrays, added: float) -> None:
+    """Widen E in every filter (random walk); reset position and velocity; form no mean across the gap."""
+    b, f.cycle.has_before = f.bank, 0.0
+    for i in range(b.p.shape[2]):
+        b.p[kalman.E, kalman.E, i] += added
+    motion_filter.lose_motion(b, 1.0)
+    b.out[1, kalman.E] = sqrt(b.out[1, kalman.E] * b.out[1, kalman.E] + added)
 
 
 @entry_point(COUNT, reals(6), TABLE)
 def _act(what: int, values: tuple[float, ...], table: Places) -> tuple[bool, float, float, bool]:
     """True if a step can be, or was, taken; stated E and its deviation; true if it is separable."""
     f, done = arrays_in(table, FilterArrays), True
-    if what == FILL:
-        done = fill(f, values[0], values[1], values[2], values[3], values[4], values[5])
+    if what == START:
+        motion_filter.new_filter(f.bank, 0, values[0], f.inputs.priors, values[1])
+        bank.begin(f.bank)
+        bank.set_priors(f.bank, values[2], values[3], values[4])
+    elif what == FILL:
+        done = _fill(f, values)
     elif what == STEP:
         kalman.step(f.bank, f.inputs)
     elif what == FOLLOW:
-        done = follow(f, values[0], values[1], values[2], values[3], values[4], values[5])
+        done = follow(f, values)
     elif what == STATE:
         state(f, values[0])
     elif what == REBASE:
         rebase(f, values[0])
+    elif what == HOLD:
+        _hold(f, values[0])
     modulus_Pa, deviation_Pa = stated(f)
     return done, modulus_Pa, deviation_Pa, separable(f)
 
 
-class Filters:
-    """Bank of Kalman filters of one span."""
+class Filters(Synchronizer):
+    """Estimator of E by a bank of Kalman filters."""
 
-    def __init__(self, config: EkfConfig | ChangepointConfig, plant: Plant, of_bank: tuple[float, float, int]) -> None:
-        """`of_bank`: jumps and drifts of `bank.new_bank`, and its capacity."""
-        self._also, self.priors = config.also, prior_deviations(config.also)
+    def __init__(
+        self,
+        config: EkfConfig | ChangepointConfig,
+        plant: Plant,
+        of_bank: tuple[float, float, int],
+        births_per_s: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """`of_bank`: jumps and drifts of `bank.new_bank`, and its capacity; `births_per_s`: rates of jumps and of drift
+        onsets."""
+        self._births_per_s = births_per_s
+        self._also, self._priors = config.also, prior_deviations(config.also)
         self._reference_Pa = plant.youngs_modulus_Pa
         self._hold_pct_per_s = config.hold_growth_pct_per_s
         self._initial_deviation = 0.01 * config.initial_deviation_pct
-        places = np.array([*range(kalman.OFFSET), *(np.flatnonzero(self.priors) + kalman.OFFSET)], np.int64)
+        places = np.array([*range(kalman.OFFSET), *(np.flatnonzero(self._priors) + kalman.OFFSET)], np.int64)
         stiffness_per_m = plant.youngs_modulus_Pa * plant.section_m2 / plant.span_length_m
-        slowly = float(self.priors[:-1].any())
+        slowly = float(self._priors[:-1].any())
         self.arrays = FilterArrays(
-            kalman.new_inputs(self.priors, plant.mass_kg, plant.force_per_torque_per_m),
+            kalman.new_inputs(self._priors, plant.mass_kg, plant.force_per_torque_per_m),
             np.array(
                 [
                     (
@@ -243,28 +254,34 @@ class Filters:
     def act(self, what: int, *values: float) -> bool:
         """Act on the filters (NOTHING and so on)."""
         padded = (*map(float, values), *(0.0,) * (6 - len(values)))
-        done, self.modulus_Pa, self.deviation_Pa, self.separable = _act(what, padded, self._table)
+        done, self._modulus_Pa, self._deviation_Pa, self._separable = _act(what, padded, self._table)
         return done
 
     def take(self, what: int, sample: SyncSample) -> bool:
         """FILL the inputs by a sample, or FOLLOW it; the first one starts the filter in the first column."""
         balance = sample.balance
         if not self.started:
-            motion_filter.new_filter(self.arrays.bank, 0, self._initial_deviation, self.priors, balance.x2_m)
-            self.arrays.bank.begin()
+            self.act(START, self._initial_deviation, balance.x2_m, *self._births_per_s, sample.cycle_s)
             self.started = True
         now = (balance.x2_m, balance.force_N, balance.web_per_Pa, balance.velocity_m_s)
         return self.act(what, sample.cycle_s, sample.torque_real_Nm, *now)
 
-    def hold(self, duration_s: float) -> None:
-        """Widen E in every filter (random walk); reset position and velocity; form no mean across the gap."""
-        self.arrays.cycle["has_before"] = 0.0
-        b, walk = self.arrays.bank, 0.01 * self._hold_pct_per_s
-        b.p[kalman.E, kalman.E] += walk**2 * duration_s
-        motion_filter.lose_motion(b, 1.0)
-        b.out[1, kalman.E] = sqrt(b.out[1, kalman.E] ** 2 + walk**2 * duration_s)
+    def rebase(self, change_Pa: float) -> None:
+        """Shift E of every filter."""
+        self.act(REBASE, change_Pa)
 
-    def estimate(self, means: Array, deviations: Array) -> Estimate:
+    def hold(self, duration_s: float) -> Estimate:
+        """Widen E in every filter (random walk); reset position and velocity."""
+        walk = 0.01 * self._hold_pct_per_s
+        self.act(HOLD, walk**2 * duration_s)
+        return self.estimate
+
+    @property
+    def estimate(self) -> Estimate:
+        """Estimate of the last cycle."""
+        raise NotImplementedError
+
+    def _estimate_by(self, means: Array, deviations: Array) -> Estimate:
         """Estimate by the states' means and deviations (SIZE,)."""
         states = [kalman.E, *kalman.NUISANCES]
         return estimate_of(self._also, self._reference_Pa, means[states], deviations[states])

@@ -59,7 +59,9 @@ class InputSynchronizer(HeldSynchronizer):
         self._missing += share * innovation
         self._lacking += share * innovation
         self._innovation += share * (innovation - self._innovation)
-        self._acting = self._correction(rate_per_s, sample.upstream_strain)
+        agreement_per_s, limit = self._config.agreement_per_s, self._config.limit_share * sample.upstream_strain
+        gain = min(max(agreement_per_s / rate_per_s - 1.0, 0.0), _MOST_GAIN) if rate_per_s > 0.0 else 0.0
+        self._acting = min(max(self._lacking + gain * self._missing, -limit), limit)
         # The filter makes the noise smaller and correlated; over many samples it counts as before the filter.
         noise = self._noise.deviation * plant.force_per_torque_per_m / stiffness_N
         self._publish(sample, sqrt(0.5 * share * noise**2 + self._innovation**2))
@@ -83,12 +85,6 @@ class InputSynchronizer(HeldSynchronizer):
         second = first + (second - first) * decay
         self._simulated = [now_N, first, second]
         return second
-
-    def _correction(self, rate_per_s: float, upstream_strain: float) -> float:
-        wanted = self._config.agreement_per_s
-        gain = min(max(wanted / rate_per_s - 1.0, 0.0), _MOST_GAIN) if rate_per_s > 0.0 else 0.0
-        limit = self._config.limit_share * upstream_strain
-        return min(max(self._lacking + gain * self._missing, -limit), limit)
 
     def _publish(self, sample: SyncSample, deviation: float) -> None:
         """Publish E with the same tension at the encoders' strain."""
