@@ -37,6 +37,8 @@ _EMBARGO_S: Final = 1.0
 _LEAST_BLOCKS_OF_ONE_AXIS: Final = 6
 #: Runs of the model that are held in memory at once: more than a machine has cores, less than its cache and pages.
 _AT_ONCE: Final = 16
+#: Bytes of predictions that are kept: a search comes back to the models that it has just been at.
+_KEPT: Final = 64e6
 
 
 @dataclass(frozen=True)
@@ -166,6 +168,7 @@ class Space:
     simulations: int = 0
     _base: Array = field(init=False)  #: the model's parameter vector
     _quick: Array = field(init=False)  #: of the measured (signals, n), what terms make of the quick part of the motion
+    _known: dict[bytes, Array] = field(init=False, default_factory=dict)  #: latest predictions, by parameter vector
 
     def __post_init__(self) -> None:
         self._base = machines.of_kind(self.model).pack(self.model)
@@ -217,14 +220,19 @@ class Space:
 
     def residuals(self, variants: list[list[Term]]) -> Array:
         """(variants, signals, n)."""
-        self.simulations += len(variants)
-        parameters = np.array([self.packed(terms) for terms in variants])
+        parameters = [self.packed(terms) for terms in variants]
+        keys = [vector.tobytes() for vector in parameters]
+        new = {key: vector for key, vector in zip(keys, parameters, strict=True) if key not in self._known}
+        self.simulations += len(new)
         known = self.predictor.measured - self._quick
-        found = np.empty((len(variants), *known.shape))
-        for first in range(0, len(variants), _AT_ONCE):
-            part = slice(first, first + _AT_ONCE)
+        for first in range(0, len(new), _AT_ONCE):
+            part = list(new)[first : first + _AT_ONCE]
             with np.errstate(over="ignore", invalid="ignore"):  # a model far off may run away; fits see that
-                np.subtract(known, self.predictor.predict(parameters[part]), out=found[part])
+                predicted = self.predictor.predict(np.array([new[key] for key in part]))
+            self._known |= dict(zip(part, predicted, strict=True))
+        found = np.array([known - self._known[key] for key in keys]).reshape(-1, *known.shape)
+        for key in list(self._known)[: max(len(self._known) - int(_KEPT / max(known.nbytes, 1)), 0)]:
+            del self._known[key]
         return found
 
     def settle(self, terms: list[Term]) -> bool:
