@@ -22,6 +22,7 @@ from hilbench.diagnosis.diagnosis import (
     NamedEffect,
     Value,
     concluded,
+    effects_of,
     explained,
     unobservable,
 )
@@ -197,7 +198,7 @@ def _lacked(before: Explained, terms: list[Term]) -> list[NamedEffect]:
     places = {term.place for term in terms if term.has_phase or not _by_the_clock(term)}
     if not places:
         return []
-    return [effect for effect in concluded(before).effects if effect.place in places]
+    return [effect for effect in effects_of(before) if effect.place in places]
 
 
 def _changed(found: Diagnosis, joint: _Joint, lacked: list[NamedEffect]) -> Diagnosis:

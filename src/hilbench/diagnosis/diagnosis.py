@@ -20,7 +20,7 @@ from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.noise import NORMAL_95, Whitening, floor, rms
-from hilbench.diagnosis.predictor import Choice, choice
+from hilbench.diagnosis.predictor import Choice, Predictor, choice
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import (
     Condition,
@@ -265,69 +265,100 @@ def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce
     return Explained(space, chosen, data, selection)
 
 
+@dataclass(frozen=True)
+class _Verdict:
+    """What the fitted terms leave: the terms with their uncertainty, and what nothing explains."""
+
+    judged: _Judged
+    floors: dict[int, float]  #: of the torques, by signal
+    misfits: list[Misfit]  #: of the torques, in their floors
+    conditions: list[Condition]
+    unexplained: list[Misfit]
+    unknown: bool
+    certain: list[Term]
+
+    @classmethod
+    def of(cls, found: Explained) -> _Verdict:
+        """Judge the residual of a search."""
+        space, selection, predictor = found.space, found.selection, found.chosen.predictor
+        rows, torques, names = predictor.rows, _torques(predictor), predictor.names
+        judged = _judged_by_noise(space, selection) if predictor.exact else _judged_by_rest(space, selection)
+        trained, final = judged.trained, judged.final
+        # Fast motion that the model explains is no noise.
+        floors = {k: floor(final.residual[k]) for k in torques}
+        if predictor.exact:
+            floors = {k: min(value, predictor.floor(k)) for k, value in floors.items()}
+        conditions = predictor.conditions(space.packed(final.terms))
+        after = misfits(*_in_floors(predictor, floors, final.residual), rows, conditions)
+        unexplained = [m for m in after if m.significant]
+        if predictor.exact:
+            unexplained += _beyond_noise(space, final)
+            unknown = bool(unexplained) or max(ratios(final.residual, rows, floors).values()) > largest_ratio(rows)
+        else:
+            # Of a fit to all rows, and of one to the others on those held out: it has to hold where it was not made.
+            left = ((final.residual, rows), (trained.residual, rows & space.split.test))
+            unknown = any(
+                rms(rest[k, at]) > LARGEST_REST * rms(predictor.measured[k, rows]) for rest, at in left for k in torques
+            )
+        better, too_few = selection.better, selection.of_too_few
+        unexplained += [Misfit(names[torques[0]], *_swing(term), 0.0, 0.0, "always") for term in too_few]
+        unknown |= selection.exhausted or better is not None or bool(too_few)
+        if better is not None:  # what pulls at the last roller shows in its torque
+            unexplained = [Misfit(names[torques[-1]], better.name, better.detail, 0.0, 0.0, "always"), *unexplained]
+        # Where a right model leaves noise alone what leaves more is right in nothing; elsewhere each effect was judged
+        # with the rest as noise.
+        certain = [] if unknown and predictor.exact else final.terms
+        return cls(judged, floors, after, conditions, unexplained, unknown, certain)
+
+
+def _torques(predictor: Predictor) -> list[int]:
+    return [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
+
+
+def _in_floors(predictor: Predictor, floors: dict[int, float], residual: Array) -> tuple[tuple[str, ...], Array]:
+    """Names and residuals (torques, n) of the torques, in their floors."""
+    return tuple(predictor.names[k] for k in floors), residual[list(floors)] / np.array([*floors.values()])[:, None]
+
+
+def effects_of(found: Explained) -> list[NamedEffect]:
+    """Effects that a search has found, with their intervals."""
+    verdict = _Verdict.of(found)
+    return _named(found.space.model, verdict.certain, verdict.judged, found.selection)
+
+
 def concluded(found: Explained, announce: Announce = lambda text, share: None) -> Diagnosis:
     """The verdict on what a search has found; effects with their intervals, gaps, and where they were."""
     announce("judge the residual", 0.95)
     space, chosen, data, selection = found.space, found.chosen, found.data, found.selection
-    predictor = chosen.predictor
-    before = space.before
-    rows = predictor.rows
-    too_few = selection.of_too_few
-    judged = _judged_by_noise(space, selection) if predictor.exact else _judged_by_rest(space, selection)
-    trained, final = judged.trained, judged.final
-    torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
-    # Fast motion that the model explains is no noise.
-    floors = {k: floor(final.residual[k]) for k in torques}
-    if predictor.exact:
-        floors = {k: min(value, predictor.floor(k)) for k, value in floors.items()}
-    conditions = predictor.conditions(space.packed(final.terms))
-    scale = np.array([floors[k] for k in torques])[:, None]
-    names = tuple(predictor.names[k] for k in torques)
+    predictor, before, test, of = chosen.predictor, space.before, space.split.test, _Verdict.of(found)
+    trained, final, floors, conditions = of.judged.trained, of.judged.final, of.floors, of.conditions
     proposer = proposer_for(predictor, space.model, data)
-    after = misfits(names, final.residual[torques] / scale, rows, conditions)
-    unexplained = [m for m in after if m.significant]
-    depends = misfits(names, before[torques] / scale, rows, conditions)
-    if predictor.exact:
-        unexplained += _beyond_noise(space, final)
-        unknown = bool(unexplained) or max(ratios(final.residual, rows, floors).values()) > largest_ratio(rows)
-    else:
-        # Of a fit to all rows, and of one to the others on those held out: it has to hold where it was not made.
-        left = ((final.residual, rows), (trained.residual, rows & space.split.test))
-        unknown = any(
-            rms(rest[k, at]) > LARGEST_REST * rms(predictor.measured[k, rows]) for rest, at in left for k in torques
-        )
-    better = selection.better
-    unexplained += [Misfit(names[0], *_swing(term), 0.0, 0.0, "always") for term in too_few]
-    unknown |= selection.exhausted or better is not None or bool(too_few)
-    if better is not None:  # what pulls at the last roller shows in its torque
-        unexplained = [Misfit(names[-1], better.name, better.detail, 0.0, 0.0, "always"), *unexplained]
-    verdict = "unknown" if unknown else ("named" if final.terms else "complete")
-    # Where a right model leaves noise alone what leaves more is right in nothing; elsewhere each effect was judged with
-    # the rest as noise.
-    certain = [] if unknown and predictor.exact else final.terms
-    effects = _named(space.model, certain, judged, selection)
-    test = space.split.test
-    gaps = [_gap(predictor.names[k], before[k], trained.residual[k], floors[k], test) for k in torques]
-    where = located(names, before[torques] / scale, rows, conditions, _ROWS_OF_WHERE)
+    names, scaled = _in_floors(predictor, floors, before)
+    effects = _named(space.model, of.certain, of.judged, selection)
+    gaps = [_gap(predictor.names[k], before[k], trained.residual[k], value, test) for k, value in floors.items()]
+    where = located(names, scaled, predictor.rows, conditions, _ROWS_OF_WHERE)
     if not where:
-        where = located(names, final.residual[torques] / scale, rows, conditions, _ROWS_OF_WHERE)
+        _, left = _in_floors(predictor, floors, final.residual)
+        where = located(names, left, predictor.rows, conditions, _ROWS_OF_WHERE)
+    depends = misfits(names, scaled, predictor.rows, conditions)
     floor_of = {predictor.names[k]: value for k, value in floors.items()}
+    told = [*selection.of_too_few, *selection.untold]
     return Diagnosis(
-        verdict=verdict,
+        verdict="unknown" if of.unknown else ("named" if final.terms else "complete"),
         effects=effects,
         gaps=gaps,
         where=_where(where),
-        profiles=_profiles(depends, after, floor_of, max(gaps, key=_size).signal),
-        unexplained=unexplained,
+        profiles=_profiles(depends, of.misfits, floor_of, max(gaps, key=_size).signal),
+        unexplained=of.unexplained,
         unobservable=[
             *unobservable(selection),
             *_waves_too_fast(space, proposer, selection),
             *_unseen_resonances(space, proposer, selection),
-            *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in [*too_few, *selection.untold]),
+            *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in told),
             *(_without_other(effect) for effect in untold_beside(predictor, space.model)),
         ],
         missing_channels=data.missing,
-        model=extended(space.model, certain),
+        model=extended(space.model, of.certain),
         names=predictor.names,
         t_s=data.t_s[:: predictor.every][: before.shape[1]],
         before=before,
@@ -341,7 +372,7 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
             *_presliding(space.model, chosen),
             *_coupling(space, final),
         ],
-        laws=_laws(space, names, final.residual[torques], conditions) if unexplained else [],
+        laws=_laws(space, names, final.residual[list(floors)], conditions) if of.unexplained else [],
         repairs=data.repairs,
     )
 
