@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
+from hilbench.diagnosis.alternatives import FreeSearch
 from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, untold_beside
 from hilbench.diagnosis.data_cleaning import Repair
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_interval_s
@@ -32,7 +33,7 @@ from hilbench.diagnosis.residual_analysis import (
     ratios,
 )
 from hilbench.diagnosis.resonance import first_unseen, untold, with_torsional_mode
-from hilbench.diagnosis.select import Selection, search
+from hilbench.diagnosis.search import Selection
 from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
@@ -253,7 +254,7 @@ def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce
     space = Space(model, predictor, data.period_s)
     proposer = proposer_for(predictor, model, data)
     if predictor.exact:
-        return Explained(space, chosen, data, search(space, proposer, announce, predictor.every))
+        return Explained(space, chosen, data, FreeSearch(space, proposer, announce).run())
     as_simple = simple_beside(predictor)
     selection = MeasuredSearch(space, proposer, announce, as_simple).run()
     if (settled := with_torsional_mode(space, selection.fit.terms)) is not None:

@@ -1,4 +1,4 @@
-"""What the steps of the search do: candidates at a model, which of them to add, and what has become superfluous.
+"""Rules of a search where a right model leaves noise alone: candidates, additions, and what has become superfluous.
 
 Every candidate's response is simulated once, at a later step only that of one which may matter there; the Gram matrix
 then says what any one or two of them would explain. The best few are fitted in full, jointly with what is there. A term
@@ -8,8 +8,8 @@ was searched) falls, and the held-out stretches agree.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
+from dataclasses import replace
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.fit import TIME_SEARCH, Fit, OnsetResponses, fit, sums, with_best_time
 from hilbench.diagnosis.noise import Whitening
-from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import largest_ratio
-from hilbench.diagnosis.space import Space, noise_model
+from hilbench.diagnosis.search import CandidateSet, Search
+from hilbench.diagnosis.space import noise_model
 from hilbench.diagnosis.stretched_problem import StretchedProblem
 from hilbench.diagnosis.terms import Key, Place, Term
 from hilbench.plant.effect import Effect, Section
@@ -79,22 +79,6 @@ def price(terms: list[Term], samples: float) -> float:
     return parameters * float(np.log(samples)) + sum(2.0 * float(np.log(_PLACES * t.multiplicity)) for t in terms)
 
 
-@dataclass
-class CandidateSet:
-    """The candidates at a model, and their raw responses."""
-
-    whitening: Whitening
-    residual: Array  #: raw
-    own: Array  #: raw columns of the terms that are there
-    candidates: list[Term]
-    responses: list[Array]  #: raw, (1 or 2, signals, n) each
-
-    def groups(self, own: int) -> list[list[int]]:
-        """Columns of each candidate, behind so many others."""
-        edges = np.cumsum([own, *map(len, self.responses)])
-        return [list(range(low, high)) for low, high in pairwise(edges)]
-
-
 def _apart(terms: list[Term], gains: Array, least_s: float) -> list[Term]:
     """Terms of most gain, at least `least_s` apart."""
     found: list[Term] = []
@@ -119,11 +103,21 @@ def _best_while(times_s: Array, responses: Array, along: Array) -> tuple[float, 
     return float(times_s[chosen[0]]), float(times_s[chosen[1]]), best
 
 
-class Steps:
-    """Steps of the search over one space."""
+class Steps(Search):
+    """Rules of a search where a right model leaves noise alone; `hilbench.diagnosis.alternatives` judges its end."""
 
-    def __init__(self, space: Space, proposer: Proposer, every: int = 1) -> None:
-        self.space, self.proposer, self._every = space, proposer, every
+    #: Three that leave more than noise are none of them right, and many small ones together are a series expansion of
+    #: something else.
+    most_terms = 3
+
+    @property
+    def rows(self) -> NDArray[np.bool_]:
+        """(n,): those of the blocks."""
+        return np.asarray(self.space.split.block >= 0)
+
+    @property
+    def _every(self) -> int:
+        return self.space.predictor.every
 
     @property
     def samples(self) -> float:
@@ -133,6 +127,7 @@ class Steps:
     # -- candidates ------------------------------------------------------------------------------------------
 
     def fit_of(self, terms: list[Term]) -> Fit:
+        """Without any sums of squares."""
         residual = self.space.residual(terms)
         return Fit(terms, residual, float("nan"), float("nan"), np.empty((0, 0)))
 
@@ -169,7 +164,7 @@ class Steps:
         responses = self._responses(current, plain, known)
         own = space.point(current.terms, current.residual).derivatives
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
-        whitened = self._counted(white.apply(current.residual))
+        whitened = self.masked(white.apply(current.residual))
         named = dict(zip(space.predictor.names, whitened, strict=True))
         searched = self.proposer.searched(named, current.terms, self._every)
         searched += self._changes(current, white)
@@ -201,7 +196,7 @@ class Steps:
     def _changes(self, current: Fit, white: Whitening) -> list[Term]:
         """Terms of each sudden effect at the times at which it would explain most, and gradual ones over a while."""
         times, apart_s = self.proposer.onset_times_s()
-        counted = np.flatnonzero(self.space.split.block >= 0) * self.space.period_s * self._every
+        counted = np.flatnonzero(self.rows) * self.space.period_s * self._every
         # What set in before the first row that counts has been there always.
         times = times[(times > counted[0]) & (times < counted[-1])]
         sudden = self.proposer.sudden()
@@ -218,7 +213,7 @@ class Steps:
         effects = self.proposer.passing()
         if not effects or not self.space.predictor.exact:
             return []
-        times, apart_s = self.proposer.passage_times_s(whitened, self.space.split.block >= 0, self._every)
+        times, apart_s = self.proposer.passage_times_s(whitened, self.rows, self._every)
         if not len(times):
             return []
         return [term for effect in effects for term in self._changes_by(effect, current, white, times, apart_s)]
@@ -279,7 +274,7 @@ class Steps:
 
     def _observable(self, white: Whitening, responses: list[Array]) -> Array:
         """Whitened responses (1, signals, n) each, zero where rows do not count, as rows of (responses, signals·n)."""
-        return np.array([self._counted(white.apply(response)).ravel() for response in responses])
+        return np.array([self.masked(white.apply(response)).ravel() for response in responses])
 
     def _tune(
         self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array], plain: list[Array]
@@ -338,7 +333,7 @@ class Steps:
 
     def is_rough(self, current: Fit) -> bool:
         """True if far more than noise is left, so that the right model was not found."""
-        space, rows = self.space, self.space.split.block >= 0
+        space, rows = self.space, self.rows
         torques = [k for k, name in enumerate(space.predictor.names) if name.startswith("tau")]
         rms = np.sqrt(np.mean(current.residual[torques][:, rows] ** 2, axis=1))
         return bool(np.any(rms > _ROUGH * largest_ratio(rows) * np.array([space.predictor.floor(k) for k in torques])))
@@ -347,14 +342,10 @@ class Steps:
         """Whether anything is left that a candidate could explain, or that none can."""
         if self.ranked(offered, offered.residual, offered.own):
             return True
-        whitened = self._counted(offered.whitening.apply(offered.residual))
-        counted = float(np.count_nonzero(self.space.split.block >= 0))
+        whitened = self.masked(offered.whitening.apply(offered.residual))
+        counted = float(np.count_nonzero(self.rows))
         excess = (whitened**2).sum(1) / counted - 1.0
         return bool(np.max(excess) > _CALM * np.sqrt(2.0 / counted))
-
-    def _counted(self, values: Array) -> Array:
-        """Values (…, n) with zeros in the rows that do not count."""
-        return np.where(self.space.split.block >= 0, values, 0.0)
 
     def _linear(self, offered: CandidateSet, residual: Array, own: Array) -> StretchedProblem:
         """The linear problem of a raw residual (signals, n) in the terms' own columns (J, signals, n) and those of the
@@ -367,6 +358,12 @@ class Steps:
     # -- additions ---------------------------------------------------------------------------------------
 
     def best_addition(self, current: Fit, offered: CandidateSet) -> Fit | None:
+        """The best fit with one or two terms more; an early term may have stood for them, and goes before the next is
+        looked for."""
+        best = self._best_addition(current, offered)
+        return None if best is None else self.pruned(best, offered.whitening)
+
+    def _best_addition(self, current: Fit, offered: CandidateSet) -> Fit | None:
         """The best fit with one or two terms more; None where none lowers the criterion and holds out.
 
         Where the best of those that promise most explains only a part, a single one of the next may explain all: one
@@ -519,6 +516,17 @@ class Steps:
                 return None
             terms.append(candidate.at(np.concatenate([strength, here[candidate.linear :]])))
         return problem.left_with([], [*mine, *columns], theta), terms
+
+    def continued(self, best: Fit, offered: CandidateSet) -> tuple[Fit, CandidateSet, bool]:
+        """Fitted again by the noise as it is seen now; responses hardly change by a term more, and only where they
+        promise something are they simulated anew."""
+        current = self.again(best, offered.whitening) if self.space.settle(best.terms) else best
+        offered = self.carried_over(current, offered)
+        unseen = self.space.split_again(current.residual)
+        if not (unseen or self.promises(offered)):
+            return current, offered, False
+        current = self.again(current, offered.whitening)
+        return current, self.candidates(current, self.carried_over(current, offered)), True
 
     # -- earlier choices ---------------------------------------------------------------------------------
 

@@ -1,18 +1,12 @@
-"""Which terms the data ask for where a right model leaves noise alone.
+"""Test of what a search has found against its alternatives, where a right model leaves noise alone.
 
-Stepwise, earlier choices tested again, judged on stretches that no fit has seen.
-
-Terms are added while that pays (`steps`). Then each must show that the model is worse without it, and that no other
-explains the same as well (`Alternatives`): equal ones are tied with it; one that explains more replaces it, and
-everything is tested again.
-
-How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis_method.md.
+Each term must show that the model is worse without it, and that no other explains the same as well: equal ones are tied
+with it; one that explains more replaces it, and everything is tested again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -20,13 +14,12 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit, around, fit, sums
 from hilbench.diagnosis.noise import Whitening
-from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.space import Space, finest
-from hilbench.diagnosis.steps import MARGIN, TIED, CandidateSet, Steps, price
+from hilbench.diagnosis.search import Better, CandidateSet, Selection
+from hilbench.diagnosis.space import finest
+from hilbench.diagnosis.steps import MARGIN, TIED, Steps, price
 from hilbench.diagnosis.terms import RANK, Key, Place, Term, parts
 
 Array = NDArray[np.float64]
-Announce = Callable[[str, float], None]
 
 #: How many are fitted in the place of a term.
 _ALTERNATIVES: Final = 7
@@ -41,14 +34,6 @@ _CLOSEST_SHARE, _CLOSEST_STEPS, _CLOSEST_LEVELS = 0.1, 13, 5
 #: looked for, s.
 _FORCE_SHARE: Final = 0.05
 _FORCE_SEARCH: Final = (0.02, 0.002)
-
-
-@dataclass(frozen=True)
-class Better:
-    """An explanation outside the vocabulary that is better than a term."""
-
-    name: str
-    detail: str  #: size and time, for a person
 
 
 class Alternatives:
@@ -198,58 +183,15 @@ class Alternatives:
         return [*rest, other]
 
 
-#: Most effects that are named: three that leave more than noise are none of them right, and many small ones together
-#: are a series expansion of something else.
-_MOST_TERMS: Final = 3
+class FreeSearch(Steps):
+    """Search where a right model leaves noise alone."""
 
-
-@dataclass
-class Selection:
-    """The chosen terms, fitted; with which others each is tied; the candidates that were there at the end."""
-
-    fit: Fit
-    candidates: CandidateSet
-    samples: float
-    tied: dict[Key, list[Place]] = field(default_factory=dict)
-    evidence: dict[Key, dict[str, float]] = field(default_factory=dict)
-    exhausted: bool = False  #: more terms would explain more than may be named
-    better: Better | None = None
-    untold: list[Term] = field(default_factory=list)  #: candidates that the motion can't tell from others
-    of_too_few: list[Term] = field(default_factory=list)  #: that explain, by too few frequencies to be named
-
-
-def search(space: Space, proposer: Proposer, announce: Announce, every: int = 1) -> Selection:
-    """Add terms while that pays, then test again what is there.
-
-    It ends early where nothing is left that a candidate promises to explain, and nothing that none can.
-    """
-    steps = Steps(space, proposer, every)
-    current = steps.fit_of([])
-    offered = steps.candidates(current)
-    for depth in range(_MOST_TERMS):
-        announce(f"step {depth + 1}: {len(offered.candidates)} candidates", 0.1 + 0.7 * depth / _MOST_TERMS)
-        best = steps.best_addition(current, offered)
-        if best is None:
-            break
-        # An early term may have stood for two others that came later: it goes before the next is looked for.
-        pruned = steps.pruned(best, offered.whitening)
-        if len(pruned.terms) > _MOST_TERMS:
-            return Selection(current, offered, steps.samples, exhausted=True)
-        current = pruned
-        if steps.space.settle(current.terms):
-            current = steps.again(current, offered.whitening)
-        # Responses hardly change by a term more. Only where they promise something are they simulated anew.
-        offered = steps.carried_over(current, offered)
-        unseen = steps.space.split_again(current.residual)
-        if not (unseen or steps.promises(offered)):
-            break
-        current = steps.again(current, offered.whitening)
-        offered = steps.candidates(current, steps.carried_over(current, offered))
-    # What is not explained would be spread over the alternatives of every term: they would all seem tied.
-    if steps.is_rough(current):
-        return Selection(current, offered, steps.samples)
-    announce("what else could explain it", 0.85)
-    alternatives = Alternatives(steps)
-    current, tied, evidence = alternatives.tested(current, offered)
-    better = alternatives.against_forces(current, offered, tied)
-    return Selection(current, offered, steps.samples, tied, evidence, better=better)
+    def judged(self, current: Fit, offered: CandidateSet) -> Selection:
+        """Each term against its alternatives."""
+        # What is not explained would be spread over the alternatives of every term: they would all seem tied.
+        if self.is_rough(current):
+            return Selection(current, offered, self.samples)
+        alternatives = Alternatives(self)
+        current, tied, evidence = alternatives.tested(current, offered)
+        better = alternatives.against_forces(current, offered, tied)
+        return Selection(current, offered, self.samples, tied, evidence, better=better)
