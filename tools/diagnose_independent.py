@@ -42,7 +42,7 @@ from hilbench.diagnosis.fit import fit  # noqa: E402
 from hilbench.diagnosis.measured import measured_from  # noqa: E402
 from hilbench.diagnosis.predictor import choice  # noqa: E402
 from hilbench.diagnosis.proposals import Proposer  # noqa: E402
-from hilbench.diagnosis.search import CandidateSet, Selection  # noqa: E402
+from hilbench.diagnosis.selection import CandidateSet, Selection  # noqa: E402
 from hilbench.diagnosis.space import Space, noise_model  # noqa: E402
 from hilbench.errors import UnusableInputError  # noqa: E402
 from hilbench.plant.effects import find_effect  # noqa: E402

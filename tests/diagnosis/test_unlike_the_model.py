@@ -21,7 +21,7 @@ from hilbench.diagnosis.fit import fit
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import choice
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.search import CandidateSet, Selection
+from hilbench.diagnosis.selection import CandidateSet, Selection
 from hilbench.diagnosis.space import Space, noise_model
 from hilbench.plant.effects import find_effect
 from hilbench.plant.web_line.parameters import ModelParameters

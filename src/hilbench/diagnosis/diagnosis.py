@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.alternatives import FreeSearch
+from hilbench.diagnosis.alternatives import FreeRules
 from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, untold_beside
 from hilbench.diagnosis.data_cleaning import Repair
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_interval_s
@@ -21,20 +21,21 @@ from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.noise import NORMAL_95, Whitening, floor, rms
-from hilbench.diagnosis.predictor import Choice, Predictor, choice
+from hilbench.diagnosis.predictor import Choice, choice, deviations_of, torques_of
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import (
     Condition,
     Misfit,
     beyond_noise,
-    largest_ratio,
+    exceeds_noise,
+    in_floors,
     located,
     misfits,
-    ratios,
 )
 from hilbench.diagnosis.resonance import first_unseen, untold, with_torsional_mode
-from hilbench.diagnosis.search import Selection
-from hilbench.diagnosis.select_measured import MeasuredSearch
+from hilbench.diagnosis.search import Announce, search
+from hilbench.diagnosis.select_measured import MeasuredRules
+from hilbench.diagnosis.selection import Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
 from hilbench.diagnosis.terms import Place, Term, extended, parts
@@ -45,7 +46,6 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
 Array = NDArray[np.float64]
-Announce = Callable[[str, float], None]
 
 #: An effect is invisible when a change of its usual size is below so many standard deviations.
 _VISIBLE: Final = 5.0
@@ -254,15 +254,15 @@ def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce
     space = Space(model, predictor, data.period_s)
     proposer = proposer_for(predictor, model, data)
     if predictor.exact:
-        return Explained(space, chosen, data, FreeSearch(space, proposer, announce).run())
+        return Explained(space, chosen, data, search(FreeRules(space, proposer), announce))
     as_simple = simple_beside(predictor)
-    selection = MeasuredSearch(space, proposer, announce, as_simple).run()
+    selection = search(MeasuredRules(space, proposer, as_simple), announce)
     if (settled := with_torsional_mode(space, selection.fit.terms)) is not None:
         chosen, space = replace(chosen, predictor=settled), Space(model, settled, data.period_s)
-        selection = MeasuredSearch(space, proposer, announce, as_simple).run()
+        selection = search(MeasuredRules(space, proposer, as_simple), announce)
     if few := untold(space, selection.fit):  # found given the others it is as little identified: once more without
         proposer = proposer_for(predictor, model, data, {term.effect.id for term in few})
-        selection = replace(MeasuredSearch(space, proposer, announce, as_simple).run(), of_too_few=few)
+        selection = replace(search(MeasuredRules(space, proposer, as_simple), announce), of_too_few=few)
     return Explained(space, chosen, data, selection)
 
 
@@ -282,7 +282,7 @@ class _Verdict:
     def of(cls, found: Explained) -> _Verdict:
         """Judge the residual of a search."""
         space, selection, predictor = found.space, found.selection, found.chosen.predictor
-        rows, torques, names = predictor.rows, _torques(predictor), predictor.names
+        rows, torques, names = predictor.rows, torques_of(predictor), predictor.names
         judged = _judged_by_noise(space, selection) if predictor.exact else _judged_by_rest(space, selection)
         trained, final = judged.trained, judged.final
         # Fast motion that the model explains is no noise.
@@ -290,11 +290,11 @@ class _Verdict:
         if predictor.exact:
             floors = {k: min(value, predictor.floor(k)) for k, value in floors.items()}
         conditions = predictor.conditions(space.packed(final.terms))
-        after = misfits(*_in_floors(predictor, floors, final.residual), rows, conditions)
+        after = misfits(*in_floors(predictor.names, final.residual, floors), rows, conditions)
         unexplained = [m for m in after if m.significant]
         if predictor.exact:
             unexplained += _beyond_noise(space, final)
-            unknown = bool(unexplained) or max(ratios(final.residual, rows, floors).values()) > largest_ratio(rows)
+            unknown = bool(unexplained) or exceeds_noise(final.residual, rows, floors)
         else:
             # Of a fit to all rows, and of one to the others on those held out: it has to hold where it was not made.
             left = ((final.residual, rows), (trained.residual, rows & space.split.test))
@@ -312,15 +312,6 @@ class _Verdict:
         return cls(judged, floors, after, conditions, unexplained, unknown, certain)
 
 
-def _torques(predictor: Predictor) -> list[int]:
-    return [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
-
-
-def _in_floors(predictor: Predictor, floors: dict[int, float], residual: Array) -> tuple[tuple[str, ...], Array]:
-    """Names and residuals (torques, n) of the torques, in their floors."""
-    return tuple(predictor.names[k] for k in floors), residual[list(floors)] / np.array([*floors.values()])[:, None]
-
-
 def effects_of(found: Explained) -> list[NamedEffect]:
     """Effects that a search has found, with their intervals."""
     verdict = _Verdict.of(found)
@@ -334,12 +325,12 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
     predictor, before, test, of = chosen.predictor, space.before, space.split.test, _Verdict.of(found)
     trained, final, floors, conditions = of.judged.trained, of.judged.final, of.floors, of.conditions
     proposer = proposer_for(predictor, space.model, data)
-    names, scaled = _in_floors(predictor, floors, before)
+    names, scaled = in_floors(predictor.names, before, floors)
     effects = _named(space.model, of.certain, of.judged, selection)
     gaps = [_gap(predictor.names[k], before[k], trained.residual[k], value, test) for k, value in floors.items()]
     where = located(names, scaled, predictor.rows, conditions, _ROWS_OF_WHERE)
     if not where:
-        _, left = _in_floors(predictor, floors, final.residual)
+        _, left = in_floors(predictor.names, final.residual, floors)
         where = located(names, left, predictor.rows, conditions, _ROWS_OF_WHERE)
     depends = misfits(names, scaled, predictor.rows, conditions)
     floor_of = {predictor.names[k]: value for k, value in floors.items()}
@@ -392,10 +383,8 @@ def _without_other(effect: Effect) -> Unobservable:
 def _beyond_noise(space: Space, final: Fit) -> list[Misfit]:
     """Signals other than the torques (positions, speeds, tensions) that deviate from the model beyond noise."""
     predictor = space.predictor
-    others = [k for k, name in enumerate(predictor.names) if not name.startswith("tau")]
-    floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
-    believed = np.hypot(floors, predictor.tolerances)
-    return beyond_noise(predictor.names, final.residual, predictor.rows, believed, others)
+    others = [k for k in range(len(predictor.names)) if k not in torques_of(predictor)]
+    return beyond_noise(predictor.names, final.residual, predictor.rows, deviations_of(predictor), others)
 
 
 def _nuisance(model: Machine, chosen: Choice, effects: list[NamedEffect]) -> list[NamedEffect]:

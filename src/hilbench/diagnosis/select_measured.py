@@ -40,7 +40,7 @@ from hilbench.diagnosis.measured_rules import (
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_noise import Uncertainty
-from hilbench.diagnosis.search import Announce, CandidateSet, Search, Selection
+from hilbench.diagnosis.selection import CandidateSet, Selection
 from hilbench.diagnosis.side_bands import NEAR, SideBands, is_near_present, order_of
 from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.stretched_problem import StretchedProblem, basis, own_share, without
@@ -67,26 +67,16 @@ _CHANGING: Final = 0.5
 _CONTENDERS: Final = 6
 
 
-class MeasuredSearch(Search):
+class MeasuredRules:
     """Search where what is left is never noise."""
 
     most_terms = 10
 
-    def __init__(self, space: Space, proposer: Proposer, announce: Announce, as_simple: Collection[str] = ()) -> None:
+    def __init__(self, space: Space, proposer: Proposer, as_simple: Collection[str] = ()) -> None:
         """as_simple: effects that are looked for as early as friction and offset are."""
-        super().__init__(space, proposer, announce)
-        self._as_simple = as_simple
+        self.space, self.proposer, self.rows, self._as_simple = space, proposer, space.predictor.rows, as_simple
+        self.samples = float(np.count_nonzero(self.rows) * len(space.predictor.names))
         self._bands: tuple[Fit, SideBands] | None = None  # last fit that they were asked of
-
-    @property
-    def rows(self) -> NDArray[np.bool_]:
-        """(n,): those of the prediction."""
-        return self.space.predictor.rows
-
-    @property
-    def samples(self) -> float:
-        """Number of values that count."""
-        return float(np.count_nonzero(self.rows) * len(self.space.predictor.names))
 
     def fit_of(self, terms: list[Term]) -> Fit:
         """Fitted to all rows that count."""
@@ -171,6 +161,10 @@ class MeasuredSearch(Search):
         found = [term for term in found if not is_near_present(self.space, self.proposer, term, current)]
         return found + [whole for term in found for whole in self.proposer.at_whole_orders(term)]
 
+    def masked(self, values: Array) -> Array:
+        """Values (…, n) with zeros in the rows that do not count."""
+        return np.where(self.rows, values, 0.0)
+
     def _linear(
         self, residual: Array, own: Array, offered: CandidateSet, beside: SideBands | None = None
     ) -> StretchedProblem:
@@ -191,45 +185,27 @@ class MeasuredSearch(Search):
     def best_addition(self, current: Fit, offered: CandidateSet) -> Fit | None:
         """The fit with the candidate that explains most of those that are certain; the simple ones go first."""
         problem = self._linear(offered.residual, offered.own, offered, self._side_bands(current))
-        mine, groups = list(range(len(offered.own))), offered.groups(len(offered.own))
-        simple = [
-            column
-            for term, group in zip(offered.candidates, groups, strict=True)
-            if not term.effect.removable
-            for column in group
-        ]
+        mine, members = list(range(len(offered.own))), offered.members(len(offered.own))
+        simple = [column for term, group in members if not term.effect.removable for column in group]
         before, before_unseen = problem.left(mine)[0], problem.left_unseen(mine)
-        waves = [
-            (term, self._wave_gain(problem, mine, group))
-            for term, group in zip(offered.candidates, groups, strict=True)
-            if term.has_phase
-        ]
-        whole = [
-            (term, problem.gain_by_stretch(mine, group))
-            for term, group in zip(offered.candidates, groups, strict=True)
-            if term.held
-        ]
-        is_identified, offers = identifiable_on_one_sine(self.space, current.terms, offered), []
-        for term, group in compress(zip(offered.candidates, groups, strict=True), is_identified):
-            started = self._started(problem, mine, term, group)
-            least = least_share(term)
+        waves = [(term, self._wave_gain(problem, mine, group)) for term, group in members if term.has_phase]
+        whole = [(term, problem.gain_by_stretch(mine, group)) for term, group in members if term.held]
+        offers = []
+        for term, group in compress(members, identifiable_on_one_sine(self.space, current.terms, offered)):
+            started, least = self._started(problem, mine, term, group), least_share(term)
             if started is None or before - started[0] < least * before:
                 continue
             # A law of higher order is fitted with those that it is made of, even where these are not identified.
             if term.effect.removable and problem.own_share(group[0], [*mine, *simple]) < _OWN_SHARE:
                 continue
+            unseen, free = before_unseen - problem.left_unseen([*mine, *group]), 0.0
             if term.has_phase:
-                unseen = problem.gain_unseen_in_phase(mine, group)
-            else:
-                unseen = before_unseen - problem.left_unseen([*mine, *group])
+                unseen, free = problem.gain_unseen_in_phase(mine, group), problem.gain_by_stretch(mine, group)
             if unseen < 0.5 * least * before_unseen:
                 continue
-            if term.has_phase:
-                free = self._wave_gain(problem, mine, group)
-                if any(self._is_as_good_a_wave(other, gain, term, free) for other, gain in waves):
-                    continue
-            free = problem.gain_by_stretch(mine, group) if term.has_phase else 0.0
-            offers.append(Offer(started[1], started[0], problem.own_share(group[0], mine), free))
+            its = next((gain for other, gain in waves if other is term), 0.0)
+            if not any(self._is_as_good_a_wave(other, gain, term, its) for other, gain in waves):
+                offers.append(Offer(started[1], started[0], problem.own_share(group[0], mine), free))
         offers = [offer for offer in offers if not is_beside_a_whole_order(offer, whole)]
         for offer in in_order(offers, self._as_simple)[:_CONTENDERS]:
             found = fitted(self.space, [*current.terms, offer.term])
@@ -330,14 +306,14 @@ class MeasuredSearch(Search):
         """Alternatives to each term that leave as little, but for those on which no two bands agree."""
         tied: dict[Key, list[Place]] = {}
         count = len(offered.own)
-        problem, groups = self._linear(current.residual, offered.own, offered), offered.groups(count)
+        problem, members = self._linear(current.residual, offered.own, offered), offered.members(count)
         here = problem.left(list(range(count)))[0]
         for term, part in zip(current.terms, parts(current.terms), strict=True):
             mine = [c for c in range(count) if c not in range(part.start, part.stop)]
             # The residual without the term, as far as it is linear in it.
             without = problem.with_back(range(count)[part][: term.linear], term.moved)
             tied[term.key] = []
-            for other, group in zip(offered.candidates, groups, strict=True):
+            for other, group in members:
                 if other.place in {term.place, *wandering, *tied[term.key]}:
                     continue
                 if term.effect.removable or other.effect.removable:

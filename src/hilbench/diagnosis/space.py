@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.noise import ORDER, Whitening, scaling, whitening
-from hilbench.diagnosis.predictor import Predictor
+from hilbench.diagnosis.predictor import Predictor, deviations_of
 from hilbench.diagnosis.terms import Term, pack_with
 from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
@@ -323,8 +323,7 @@ def finest(space: Space) -> Whitening | None:
 
 def _noise_of_right_model(predictor: Predictor, tolerated: float = 1.0) -> Whitening:
     """Whitening by a right model's residual: its floor, and the tolerances, or a share of them."""
-    floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
-    return scaling(np.hypot(floors, tolerated * predictor.tolerances))
+    return scaling(deviations_of(predictor, tolerated))
 
 
 def noise_model(space: Space, residual: Array, columns: Array) -> Whitening:

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.fit import TIME_SEARCH, Fit, OnsetResponses, fit, sums, with_best_time
 from hilbench.diagnosis.noise import Whitening
+from hilbench.diagnosis.predictor import torques_of
+from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import largest_ratio
-from hilbench.diagnosis.search import CandidateSet, Search
-from hilbench.diagnosis.space import noise_model
+from hilbench.diagnosis.selection import CandidateSet
+from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.stretched_problem import StretchedProblem
 from hilbench.diagnosis.terms import Key, Place, Term
 from hilbench.plant.effect import Effect, Section
@@ -103,21 +105,20 @@ def _best_while(times_s: Array, responses: Array, along: Array) -> tuple[float, 
     return float(times_s[chosen[0]]), float(times_s[chosen[1]]), best
 
 
-class Steps(Search):
+class Steps:
     """Rules of a search where a right model leaves noise alone; `hilbench.diagnosis.alternatives` judges its end."""
 
     #: Three that leave more than noise are none of them right, and many small ones together are a series expansion of
     #: something else.
     most_terms = 3
 
+    def __init__(self, space: Space, proposer: Proposer) -> None:
+        self.space, self.proposer, self._every = space, proposer, space.predictor.every
+
     @property
     def rows(self) -> NDArray[np.bool_]:
         """(n,): those of the blocks."""
         return np.asarray(self.space.split.block >= 0)
-
-    @property
-    def _every(self) -> int:
-        return self.space.predictor.every
 
     @property
     def samples(self) -> float:
@@ -251,8 +252,8 @@ class Steps(Search):
     def _seen(self, current: Fit, white: Whitening, known: OnsetResponses, times_s: Array) -> tuple[Array, Array]:
         """Whitened responses (T, signals·n) of what sets in at these times, and their products (T,) with the
         residual."""
-        responses = self._observable(white, [known.at(float(time))[None] for time in times_s])
-        return responses, responses @ self._observable(white, [current.residual[None]])[0]
+        responses = np.array([self.masked(white.apply(known.at(float(time)))).ravel() for time in times_s])
+        return responses, responses @ self.masked(white.apply(current.residual)).ravel()
 
     def _gradual(
         self, effect: Effect, current: Fit, white: Whitening, known: OnsetResponses, section: Section | None
@@ -271,10 +272,6 @@ class Steps(Search):
             times_s = np.linspace(max(begin_s - apart_s, first_s), min(end_s + apart_s, last_s), _RAMP_TIMES)
             begin_s, end_s, gain = _best_while(times_s, *self._seen(current, white, known, times_s))
         return self.proposer.gradual(effect, begin_s, end_s - begin_s, current.terms, section)
-
-    def _observable(self, white: Whitening, responses: list[Array]) -> Array:
-        """Whitened responses (1, signals, n) each, zero where rows do not count, as rows of (responses, signals·n)."""
-        return np.array([self.masked(white.apply(response)).ravel() for response in responses])
 
     def _tune(
         self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array], plain: list[Array]
@@ -320,6 +317,10 @@ class Steps(Search):
                 found.setdefault((whole.key, whole.values[name]), replace(whole, held=frozenset()))
         return list(found.values())
 
+    def masked(self, values: Array) -> Array:
+        """Values (…, n) with zeros in the rows that do not count."""
+        return np.where(self.rows, values, 0.0)
+
     def trained(self, values: Array) -> Array:
         """Values (…, n) with zeros in the rows that fits do not see."""
         return np.where(self.space.split.train, values, 0.0)
@@ -334,7 +335,7 @@ class Steps(Search):
     def is_rough(self, current: Fit) -> bool:
         """True if far more than noise is left, so that the right model was not found."""
         space, rows = self.space, self.rows
-        torques = [k for k, name in enumerate(space.predictor.names) if name.startswith("tau")]
+        torques = torques_of(space.predictor)
         rms = np.sqrt(np.mean(current.residual[torques][:, rows] ** 2, axis=1))
         return bool(np.any(rms > _ROUGH * largest_ratio(rows) * np.array([space.predictor.floor(k) for k in torques])))
 
@@ -449,12 +450,13 @@ class Steps(Search):
         """
         problem, mine = self._linear(offered, residual, own), list(range(len(own)))
         base, _ = problem.left(mine)
-        singles = []
-        for k in range(len(offered.candidates)):
-            started = self._started(offered, problem, mine, [k])
-            if started is not None:
-                left, terms = started
-                singles.append((base - left - price(terms, self.samples), k, terms))
+        members, samples = offered.members(len(mine)), self.samples
+
+        def promised_by(*chosen: int) -> list[tuple[float, list[Term]]]:
+            started = self._started(problem, mine, *(members[k] for k in chosen))
+            return [] if started is None else [(base - started[0] - price(started[1], samples), started[1])]
+
+        singles = [(score, k, terms) for k in range(len(members)) for score, terms in promised_by(k)]
         singles.sort(key=lambda item: -item[0])
         chosen: list[list[Term]] = []
         places: set[Place] = set()
@@ -469,13 +471,8 @@ class Steps(Search):
                 promised.append(score)
                 chosen.append(terms)
         # Two effects that only together explain anything (friction against an offset) are never found one by one.
-        pairs = []
-        for a, b in combinations([k for _, k, _ in singles[:_PAIRED_FROM]], 2):
-            if offered.candidates[a].key != offered.candidates[b].key:
-                started = self._started(offered, problem, mine, [a, b])
-                if started is not None:
-                    left, terms = started
-                    pairs.append((base - left - price(terms, self.samples), terms))
+        both = combinations([k for _, k, _ in singles[:_PAIRED_FROM]], 2)
+        pairs = [found for a, b in both if members[a][0].key != members[b][0].key for found in promised_by(a, b)]
         pairs.sort(key=lambda item: -item[0])
         best = max((score for score, _, _ in singles), default=0.0)
         # Here, too, variants of two effects at their places would fill all seats.
@@ -485,33 +482,32 @@ class Steps(Search):
                 together.setdefault(frozenset(term.place for term in terms), terms)
         return chosen + list(together.values())[:_PAIRS]
 
+    @staticmethod
     def _started(
-        self, offered: CandidateSet, problem: StretchedProblem, mine: list[int], members: list[int]
+        problem: StretchedProblem, mine: list[int], *members: tuple[Term, list[int]]
     ) -> tuple[float, list[Term]] | None:
         """What some candidates leave together, and their start values; None where a bound forbids their sign.
 
-        mine: columns of the terms that are there; members: candidates that are added, by number.
+        mine: columns of the terms that are there; members: candidates that are added, each with its columns.
         """
-        groups = offered.groups(len(mine))
-        columns = [c for k in members for c in groups[k]]
-        if any(problem.raw[c] < _LEAST_INFORMATION for c in columns):
+        columns = [column for _, group in members for column in group]
+        if any(problem.raw[column] < _LEAST_INFORMATION for column in columns):
             return None
         if len(members) > 1 and any(
-            problem.own_share(c, [*mine, *(other for other in columns if other not in groups[k])]) < _OWN_SHARE
-            for k in members
-            for c in groups[k]
+            problem.own_share(column, [*mine, *(other for other in columns if other not in group)]) < _OWN_SHARE
+            for _, group in members
+            for column in group
         ):
             return None
         _, theta = problem.left([*mine, *columns])
         at, terms = len(mine), []
-        for k in members:
-            candidate = offered.candidates[k]
+        for candidate, group in members:
             here = candidate.neutral().coordinates()
             if candidate.probe is not None:
                 # Its response was looked at with one strength, and speaks for others near it only.
                 theta[at] = np.clip(theta[at], candidate.probe / _TRUSTED, candidate.probe * _TRUSTED)
-            strength = here[: candidate.linear] + theta[at : at + candidate.linear]
-            at += candidate.linear
+            strength = here[: candidate.linear] + theta[at : at + len(group)]
+            at += len(group)
             if not candidate.allowed(float(strength[0])):
                 return None
             terms.append(candidate.at(np.concatenate([strength, here[candidate.linear :]])))
