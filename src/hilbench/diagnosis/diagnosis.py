@@ -327,11 +327,13 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
     proposer = proposer_for(predictor, space.model, data)
     names, scaled = in_floors(predictor.names, before, floors)
     effects = _named(space.model, of.certain, of.judged, selection)
-    gaps = [_gap(predictor.names[k], before[k], trained.residual[k], value, test) for k, value in floors.items()]
+    gaps = [
+        Gap(predictor.names[k], rms(before[k, test]), rms(trained.residual[k, test]), value, "N·m")
+        for k, value in floors.items()
+    ]
     where = located(names, scaled, predictor.rows, conditions, _ROWS_OF_WHERE)
     if not where:
-        _, left = in_floors(predictor.names, final.residual, floors)
-        where = located(names, left, predictor.rows, conditions, _ROWS_OF_WHERE)
+        where = located(*in_floors(predictor.names, final.residual, floors), predictor.rows, conditions, _ROWS_OF_WHERE)
     depends = misfits(names, scaled, predictor.rows, conditions)
     floor_of = {predictor.names[k]: value for k, value in floors.items()}
     told = [*selection.of_too_few, *selection.untold]
@@ -477,10 +479,6 @@ def _judged_by_rest(space: Space, selection: Selection) -> _Judged:
     trained = fit(space, weights(space, final.terms), final.terms)
     known = stated_uncertainty(space, final)
     return _Judged(trained, final, known.covariance, known.quantiles(0.95), {})
-
-
-def _gap(name: str, before: Array, after: Array, noise: float, rows: NDArray[np.bool_]) -> Gap:
-    return Gap(name, rms(before[rows]), rms(after[rows]), noise, "N·m")
 
 
 def _moments(

@@ -1,11 +1,8 @@
 """Which terms the data ask for: one stepwise search, forward and backward.
 
-Every candidate is a column of responses beside those of the terms that are there. Terms are added while that pays, what
-the others have made superfluous goes, and at the end each must show that the data are explained worse without it, and
-that no other explains them as well: equal ones are tied with it.
-
-What an addition costs, what has to confirm it and what ties two explanations are the rules of a kind of prediction: of
-one whose right model leaves noise alone, and of measured motion, where it does not.
+Every candidate is a column of responses. Terms are added while that pays, superfluous ones go, and at the end each must
+show that the data are explained worse without it, and that no other explains them as well: equal ones are tied. Price,
+hold-out and ties are the rules of a kind of prediction: one whose right model leaves noise alone, or measured motion.
 
 How often that is right: tools/diagnose_scoreboard.py, tools/diagnose_rigs.py, docs/diagnosis_method.md.
 """
@@ -30,6 +27,8 @@ def search(rules: FreeRules | MeasuredRules, announce: Announce = lambda text, s
         best = rules.best_addition(current, offered)
         if best is None:
             break
+        # An early term may have stood for two others that came later: it goes before the next is looked for.
+        best = rules.pruned(best, offered.whitening)
         if len(best.terms) > rules.most_terms:
             return Selection(current, offered, rules.samples, exhausted=True)
         current, offered, promising = rules.continued(best, offered)

@@ -82,12 +82,16 @@ class MeasuredRules:
         """Fitted to all rows that count."""
         return fitted(self.space, terms)
 
+    def pruned(self, current: Fit, white: Whitening) -> Fit:
+        """As it is: with a gross error of the model nothing is certain, and nothing superfluous."""
+        return current
+
     def continued(self, best: Fit, offered: CandidateSet) -> tuple[Fit, CandidateSet, bool]:
         """From the candidates at the new model; there is always more."""
         return best, self.candidates(best), True
 
     def judged(self, current: Fit, offered: CandidateSet) -> Selection:
-        """What is certain given all others. With a gross error of the model nothing is, so that comes last."""
+        """What is certain given all others."""
         steady = in_both_halves(self.space, in_every_band(self.space, current))
         wandering = {term.place for term in current.terms} - {term.place for term in steady.terms}
         certain = self._without_superfluous(steady)
@@ -151,19 +155,15 @@ class MeasuredRules:
         found: list[Term] = []
         beside = self._side_bands(current).taken_out_of(current.residual)
         for apply in (lambda values: values, white.apply):
-            left = self.masked(apply(beside))
+            left = np.where(self.rows, apply(beside), 0.0)
             named = dict(zip(self.space.predictor.names, left, strict=True))
             terms = self.proposer.searched(named, current.terms, self.space.predictor.every)
             responses = self.space.strengths(current.terms, current.residual, terms)
             for term, response in zip(terms, responses, strict=True):
-                masked = self.masked(apply(response))
+                masked = np.where(self.rows, apply(response), 0.0)
                 found.append(self.proposer.tuned(term, left, masked, self.space.predictor.every)[0])
         found = [term for term in found if not is_near_present(self.space, self.proposer, term, current)]
         return found + [whole for term in found for whole in self.proposer.at_whole_orders(term)]
-
-    def masked(self, values: Array) -> Array:
-        """Values (…, n) with zeros in the rows that do not count."""
-        return np.where(self.rows, values, 0.0)
 
     def _linear(
         self, residual: Array, own: Array, offered: CandidateSet, beside: SideBands | None = None

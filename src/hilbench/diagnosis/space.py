@@ -184,7 +184,7 @@ class Space:
             shortest_s = min(shortest_s, self.duration_s / _LEAST_BLOCKS_OF_ONE_AXIS)
         # Noise that is white is scaled, whatever was before it; the filter for another has a memory.
         memory = 0 if exact else ORDER
-        left = _noise_of_right_model(self.predictor).apply(residual) if exact else None
+        left = scaling(deviations_of(self.predictor)).apply(residual) if exact else None
         row_s = self.period_s * self.predictor.every
         return Split.balanced(self.predictor.measured, rows, row_s, shortest_s, left, memory)
 
@@ -195,7 +195,7 @@ class Space:
         """
         if not self.predictor.exact:
             return False
-        excess = _excess(_noise_of_right_model(self.predictor).apply(residual), self.predictor.rows)
+        excess = _excess(scaling(deviations_of(self.predictor)).apply(residual), self.predictor.rows)
         if _unseen(excess, self.split) < _MOST_HELD_OUT:
             return False
         split = self._balanced(residual)
@@ -220,15 +220,14 @@ class Space:
 
     def residuals(self, variants: list[list[Term]]) -> Array:
         """(variants, signals, n)."""
-        parameters = [self.packed(terms) for terms in variants]
-        keys = [vector.tobytes() for vector in parameters]
-        new = {key: vector for key, vector in zip(keys, parameters, strict=True) if key not in self._known}
+        keys = [self.packed(terms).tobytes() for terms in variants]
+        new = [key for key in dict.fromkeys(keys) if key not in self._known]
         self.simulations += len(new)
         known = self.predictor.measured - self._quick
         for first in range(0, len(new), _AT_ONCE):
-            part = list(new)[first : first + _AT_ONCE]
+            part = new[first : first + _AT_ONCE]
             with np.errstate(over="ignore", invalid="ignore"):  # a model far off may run away; fits see that
-                predicted = self.predictor.predict(np.array([new[key] for key in part]))
+                predicted = self.predictor.predict(np.array([np.frombuffer(key) for key in part]))
             self._known |= dict(zip(part, predicted, strict=True))
         found = np.array([known - self._known[key] for key in keys]).reshape(-1, *known.shape)
         for key in list(self._known)[: max(len(self._known) - int(_KEPT / max(known.nbytes, 1)), 0)]:
@@ -295,35 +294,21 @@ class Space:
 
         `residual` is the one of that model.
         """
-        if not candidates:
-            return []
-        variants: list[list[Term]] = []
-        counts = []
+        variants = []
         for candidate in candidates:
             neutral = candidate.neutral().coordinates()
-            for k in range(candidate.linear):
+            for k, probe in enumerate(candidate.probes()):
                 moved = neutral.copy()
-                moved[k] += candidate.probes()[k]
+                moved[k] += probe
                 variants.append([*terms, candidate.at(moved)])
-            counts.append(candidate.linear)
-        found = self.residuals(variants)
-        result, at = [], 0
-        for candidate, count in zip(candidates, counts, strict=True):
-            steps = candidate.probes()[:, None, None]
-            result.append((residual - found[at : at + count]) / steps)
-            at += count
-        return result
+        found = iter(self.residuals(variants))
+        return [np.array([(residual - next(found)) / probe for probe in one.probes()]) for one in candidates]
 
 
 def finest(space: Space) -> Whitening | None:
     """Whitening with a quarter of the tolerances, to choose between good explanations; None where nothing is
     tolerated."""
-    return _noise_of_right_model(space.predictor, 0.25) if space.predictor.exact else None
-
-
-def _noise_of_right_model(predictor: Predictor, tolerated: float = 1.0) -> Whitening:
-    """Whitening by a right model's residual: its floor, and the tolerances, or a share of them."""
-    return scaling(deviations_of(predictor, tolerated))
+    return scaling(deviations_of(space.predictor, 0.25)) if space.predictor.exact else None
 
 
 def noise_model(space: Space, residual: Array, columns: Array) -> Whitening:
@@ -335,7 +320,7 @@ def noise_model(space: Space, residual: Array, columns: Array) -> Whitening:
     """
     predictor = space.predictor
     if predictor.exact:
-        return _noise_of_right_model(predictor)
+        return scaling(deviations_of(predictor))
     rows = predictor.rows
     scale = np.maximum(np.std(np.diff(residual[:, rows], axis=-1), axis=-1), 1e-300)
     r = (residual / scale[:, None])[:, rows].reshape(-1)

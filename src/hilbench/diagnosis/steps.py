@@ -20,7 +20,7 @@ from hilbench.diagnosis.fit import TIME_SEARCH, Fit, OnsetResponses, fit, sums, 
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.predictor import torques_of
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.residual_analysis import largest_ratio
+from hilbench.diagnosis.residual_analysis import exceeds_noise
 from hilbench.diagnosis.selection import CandidateSet
 from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.stretched_problem import StretchedProblem
@@ -128,7 +128,6 @@ class Steps:
     # -- candidates ------------------------------------------------------------------------------------------
 
     def fit_of(self, terms: list[Term]) -> Fit:
-        """Without any sums of squares."""
         residual = self.space.residual(terms)
         return Fit(terms, residual, float("nan"), float("nan"), np.empty((0, 0)))
 
@@ -212,7 +211,7 @@ class Steps:
         """Terms of each passing effect at the times at which it would explain most, near where the residual is
         large."""
         effects = self.proposer.passing()
-        if not effects or not self.space.predictor.exact:
+        if not effects:
             return []
         times, apart_s = self.proposer.passage_times_s(whitened, self.rows, self._every)
         if not len(times):
@@ -334,10 +333,9 @@ class Steps:
 
     def is_rough(self, current: Fit) -> bool:
         """True if far more than noise is left, so that the right model was not found."""
-        space, rows = self.space, self.rows
-        torques = torques_of(space.predictor)
-        rms = np.sqrt(np.mean(current.residual[torques][:, rows] ** 2, axis=1))
-        return bool(np.any(rms > _ROUGH * largest_ratio(rows) * np.array([space.predictor.floor(k) for k in torques])))
+        predictor = self.space.predictor
+        floors = {k: _ROUGH * predictor.floor(k) for k in torques_of(predictor)}
+        return exceeds_noise(current.residual, self.rows, floors)
 
     def promises(self, offered: CandidateSet) -> bool:
         """Whether anything is left that a candidate could explain, or that none can."""
@@ -359,12 +357,6 @@ class Steps:
     # -- additions ---------------------------------------------------------------------------------------
 
     def best_addition(self, current: Fit, offered: CandidateSet) -> Fit | None:
-        """The best fit with one or two terms more; an early term may have stood for them, and goes before the next is
-        looked for."""
-        best = self._best_addition(current, offered)
-        return None if best is None else self.pruned(best, offered.whitening)
-
-    def _best_addition(self, current: Fit, offered: CandidateSet) -> Fit | None:
         """The best fit with one or two terms more; None where none lowers the criterion and holds out.
 
         Where the best of those that promise most explains only a part, a single one of the next may explain all: one

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.noise import rms
 from hilbench.diagnosis.predictor import Predictor, choice, deviations_of, torques_of
 from hilbench.live.machine import LiveMachine
 from hilbench.live.window import Window
@@ -46,8 +47,5 @@ class Segment:
 def shows_in_torque(segment: Segment, before: Array, after: Array) -> bool:
     """True if a change of the model reduces the gap of a torque: of residuals (signals, n) before and after it."""
     rows, predictor = segment.predictor.rows, segment.predictor
-    torques = torques_of(predictor)
-    less_Nm = np.sqrt(np.mean(before[torques][:, rows] ** 2, axis=1)) - np.sqrt(
-        np.mean(after[torques][:, rows] ** 2, axis=1)
-    )
-    return bool(np.any(less_Nm > _SHOWS * np.array([predictor.floor(k) for k in torques])))
+    less_Nm = {k: rms(before[k, rows]) - rms(after[k, rows]) for k in torques_of(predictor)}
+    return any(less > _SHOWS * predictor.floor(k) for k, less in less_Nm.items())
