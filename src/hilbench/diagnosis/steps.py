@@ -214,9 +214,8 @@ class Steps:
         if not effects:
             return []
         times, apart_s = self.proposer.passage_times_s(whitened, self.rows, self._every)
-        if not len(times):
-            return []
-        return [term for effect in effects for term in self._changes_by(effect, current, white, times, apart_s)]
+        found = (self._changes_by(effect, current, white, times, apart_s) for effect in effects if len(times))
+        return [term for terms in found for term in terms]
 
     def _changes_by(
         self,
