@@ -221,8 +221,7 @@ def _simplest(after: Explained) -> Explained:
     limit, alone = (1.0 + TIED) * left(selection.fit), list[Fit]()
     for term in [*after.terms, *selection.candidates.candidates]:
         white = weights(space, [term])
-        worth = limit * float(white.filters[0, 0]) ** 2
-        alone.append(fit(space, white, [term], space.predictor.rows, worth))
+        alone.append(fit(space, white, [term], space.predictor.rows, limit * float(white.filters[0, 0]) ** 2))
     best = min(alone, key=left)
     return replace(after, selection=replace(selection, fit=best)) if left(best) < limit else after
 

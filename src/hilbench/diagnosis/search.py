@@ -3,7 +3,6 @@
 Every candidate is a column of responses. Terms are added while that pays, superfluous ones go, and at the end each must
 show that the data are explained worse without it, and that no other explains them as well: equal ones are tied. Price,
 hold-out and ties are the rules of a kind of prediction: one whose right model leaves noise alone, or measured motion.
-
 How often that is right: tools/diagnose_scoreboard.py, tools/diagnose_rigs.py, docs/diagnosis_method.md.
 """
 

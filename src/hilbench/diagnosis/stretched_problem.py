@@ -123,8 +123,7 @@ def basis(columns: Array) -> Array:
 def spanning(columns: Array, rows: NDArray[np.bool_]) -> Array:
     """Combinations of columns (J, n) that are orthonormal, and span the same, on some of the rows (n,)."""
     scaled = columns / np.maximum(np.linalg.norm(columns[:, rows], axis=1), 1e-300)[:, None]
-    triangle = np.asarray(np.linalg.qr(scaled[:, rows].T, mode="r"))  # of the same sizes, and much smaller
-    of, sizes, _ = np.linalg.svd(triangle.T, full_matrices=False)
+    of, sizes, _ = np.linalg.svd(np.asarray(np.linalg.qr(scaled[:, rows].T, mode="r")).T, full_matrices=False)
     kept = sizes > 1e-6 * sizes[0]
     return np.asarray((of[:, kept] / sizes[kept]).T @ scaled)
 
