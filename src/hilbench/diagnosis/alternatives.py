@@ -37,7 +37,7 @@ _FORCE_SEARCH: Final = (0.02, 0.002)
 
 
 class FreeRules(Steps):
-    """Search where a right model leaves noise alone."""
+    """Rules of a search where a right model leaves noise alone, with the test of what it has found."""
 
     def judged(self, current: Fit, offered: CandidateSet) -> Selection:
         """Each term against its alternatives."""

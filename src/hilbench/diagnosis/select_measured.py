@@ -68,7 +68,7 @@ _CONTENDERS: Final = 6
 
 
 class MeasuredRules:
-    """Search where what is left is never noise."""
+    """Rules of a search where what is left is never noise."""
 
     most_terms = 10
 
