@@ -42,9 +42,8 @@ from hilbench.diagnosis.fit import fit  # noqa: E402
 from hilbench.diagnosis.measured import measured_from  # noqa: E402
 from hilbench.diagnosis.predictor import choice  # noqa: E402
 from hilbench.diagnosis.proposals import Proposer  # noqa: E402
-from hilbench.diagnosis.select import Selection  # noqa: E402
+from hilbench.diagnosis.selection import CandidateSet, Selection  # noqa: E402
 from hilbench.diagnosis.space import Space, noise_model  # noqa: E402
-from hilbench.diagnosis.steps import CandidateSet  # noqa: E402
 from hilbench.errors import UnusableInputError  # noqa: E402
 from hilbench.plant.effects import find_effect  # noqa: E402
 from hilbench.plant.web_line.parameters import ModelParameters  # noqa: E402

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tests.simulated_measurements import simulated_measurements
 
-from hilbench.diagnosis.synchronization import MethodResult, compare_methods
 from hilbench.estimation.web_line.config import METHODS, AlsoEstimated, ChangepointConfig, SynchronizerConfig
+from hilbench.results.synchronization import MethodResult, compare_methods
 from hilbench.runs.config import load_with_overrides
 
 CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"

@@ -14,7 +14,11 @@ from tests.estimation.runs import NEW_PA, Array, measured, stepped, tracked
 from tests.plant.models import DEMONSTRATOR, model
 
 from hilbench.apps.sync.page import rows
-from hilbench.diagnosis.synchronization import (
+from hilbench.errors import UnusableInputError
+from hilbench.estimation.web_line.config import METHODS
+from hilbench.estimation.web_line.offline import Track, run_offline
+from hilbench.results.recording import Recording, read_recording, write_recording
+from hilbench.results.synchronization import (
     NEEDED,
     compare_methods,
     compare_runs,
@@ -22,10 +26,6 @@ from hilbench.diagnosis.synchronization import (
     measurements_of,
     twin_config,
 )
-from hilbench.errors import UnusableInputError
-from hilbench.estimation.web_line.config import METHODS
-from hilbench.estimation.web_line.offline import Track, run_offline
-from hilbench.results.recording import Recording, read_recording, write_recording
 
 COLUMNS = "t_s,v1_cmd_m_s,v2_cmd_m_s,x1_m,x2_m,tau2_Nm,strain_prev,F_next_N,E_true_Pa"
 

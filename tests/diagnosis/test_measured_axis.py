@@ -16,7 +16,8 @@ from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.measured_motion import MotionFilter, OnMeasuredMotion, known_to_Hz
 from hilbench.diagnosis.residual_noise import Uncertainty, uncertainty, with_guess, with_noisy_columns
-from hilbench.diagnosis.select_measured import MeasuredSearch
+from hilbench.diagnosis.search import search
+from hilbench.diagnosis.select_measured import MeasuredRules
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Place
 from hilbench.plant.effects import find_effect
@@ -227,7 +228,7 @@ def test_friction_is_found_beside_what_is_not_in_the_vocabulary() -> None:
     axis = Axis(*hidden, exact=False)
     slow = 0.3 * np.sin(0.9 * axis.t_s) * np.cos(3.1 * axis.x_m)
     axis.space.predictor.measured = axis.space.predictor.measured + slow
-    found = MeasuredSearch(axis.space, axis.proposer(*SMOOTH), lambda text, share: None).run()
+    found = search(MeasuredRules(axis.space, axis.proposer(*SMOOTH)))
     values = {t.effect.id: t.values[t.effect.strength[0]] for t in found.fit.terms}
     assert {"coulomb_friction", "torque_offset", "viscous_friction"} <= values.keys()
     assert values["coulomb_friction"] == pytest.approx(2.0, rel=0.1)
@@ -237,7 +238,7 @@ def test_friction_is_found_beside_what_is_not_in_the_vocabulary() -> None:
 def test_where_no_fit_can_tell_two_effects_apart_they_are_tied() -> None:
     """Forward only, b·v and d·|v| are one, and dry friction is an offset."""
     axis = Axis(effect("viscous_friction", 1, coefficient_N_s_per_m=0.4), forward=True, exact=False)
-    found = MeasuredSearch(axis.space, axis.proposer(*SMOOTH), lambda text, share: None).run()
+    found = search(MeasuredRules(axis.space, axis.proposer(*SMOOTH)))
     (term,) = found.fit.terms
     assert term.effect.id == "viscous_friction"
     assert Place("friction_asymmetry", 1) in found.tied[term.key]
@@ -247,7 +248,7 @@ def test_in_one_direction_an_offset_either_way_is_tied_with_dry_friction() -> No
     """More friction may be fed forward than there is, so that its sign says nothing."""
     for offset_Nm in (0.5, -0.5):
         axis = Axis(effect("torque_offset", 1, offset_Nm=offset_Nm), forward=True, exact=False)
-        found = MeasuredSearch(axis.space, axis.proposer(*SMOOTH), lambda text, share: None).run()
+        found = search(MeasuredRules(axis.space, axis.proposer(*SMOOTH)))
         (term,) = found.fit.terms
         both = {term.effect.id, *(place.effect for place in found.tied[term.key])}
         assert {"torque_offset", "coulomb_friction"} <= both

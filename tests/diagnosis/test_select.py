@@ -9,15 +9,17 @@ import pytest
 from tests.diagnosis.analytic import NOISE, Axis, Bent, Ringing
 from tests.plant.models import effect
 
-from hilbench.diagnosis.select import Selection, search
-from hilbench.diagnosis.steps import Steps, price
+from hilbench.diagnosis.alternatives import FreeRules
+from hilbench.diagnosis.search import search
+from hilbench.diagnosis.selection import Selection
+from hilbench.diagnosis.steps import price
 from hilbench.diagnosis.terms import Place
 
 SMOOTH = ("coulomb_friction", "viscous_friction", "friction_asymmetry", "torque_offset", "inertia_mismatch")
 
 
 def searched(axis: Axis, *vocabulary: str) -> Selection:
-    return search(axis.space, axis.proposer(*(vocabulary or SMOOTH)), lambda text, share: None)
+    return search(FreeRules(axis.space, axis.proposer(*(vocabulary or SMOOTH))))
 
 
 def named(selection: Selection) -> list[str]:
@@ -55,7 +57,7 @@ def test_what_is_hidden_is_chosen_alone_with_its_value(item: dict[str, object]) 
 def test_what_alone_explains_all_is_chosen_before_four_that_promise_more() -> None:
     """What a small change of it does says little of what it does: four others look more like it."""
     bent = Bent(1.6)
-    steps = Steps(bent.space, bent.proposer())
+    steps = FreeRules(bent.space, bent.proposer())
     nothing = steps.fit_of([])
     found = steps.best_addition(nothing, steps.candidates(nothing))
     assert found is not None
@@ -120,7 +122,7 @@ def test_every_parameter_and_every_variant_that_was_searched_has_its_price() -> 
 @pytest.mark.parametrize(("time_s", "within_s"), [(6.3, 3.0), (14.6, 5.0)])
 def test_what_grows_over_a_while_is_found_though_a_step_of_it_would_ring(time_s: float, within_s: float) -> None:
     web = Ringing(time_s, 9.0, within_s, ringing=0.5)
-    found = search(web.space, web.proposer(), lambda text, share: None)
+    found = search(FreeRules(web.space, web.proposer()))
     assert named(found) == ["elasticity_ramp"]
     values = found.fit.terms[0].values
     assert values["time_s"] == pytest.approx(time_s, abs=0.11)  # two periods of the ringing

@@ -13,12 +13,14 @@ from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.diagnosis.alternatives import FreeRules
 from hilbench.diagnosis.bench_gap import figures_of_line
 from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.predictor import choice
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.select import Selection, search
+from hilbench.diagnosis.search import search
+from hilbench.diagnosis.selection import Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Place
 from hilbench.errors import UnusableInputError
@@ -87,7 +89,7 @@ def searched(config: Path, data: Measured) -> Selection:
     others = [find_effect(name) for name in ("coulomb_friction", "viscous_friction", "inertia_mismatch")]
     predictor = choice(model, data, emulation(config)).predictor
     space = Space(model, predictor, data.period_s)
-    return search(space, Proposer(model, data, [*others, *STATION_EFFECTS]), lambda _text, _share: None)
+    return search(FreeRules(space, Proposer(model, data, [*others, *STATION_EFFECTS])))
 
 
 @pytest.mark.parametrize("config", [DANCER, WINDING], ids=["dancer", "winding"])

@@ -21,9 +21,8 @@ from hilbench.diagnosis.fit import fit
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import choice
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.select import Selection
+from hilbench.diagnosis.selection import CandidateSet, Selection
 from hilbench.diagnosis.space import Space, noise_model
-from hilbench.diagnosis.steps import CandidateSet
 from hilbench.plant.effects import find_effect
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording, write_recording

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from tests.independent_line.line import STEP_OF_E, Hidden, Line, Record, effect
 
-from hilbench.diagnosis.synchronization import measurements_of, twin_config
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line.config import ChangepointConfig, SynchronizerConfig
 from hilbench.estimation.web_line.offline import Track, run_offline
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
+from hilbench.results.synchronization import measurements_of, twin_config
 from hilbench.runs.figures import ESTIMATE_BAND, overshoot_pct, time_to_stay
 
 #: From here on a twin that has just started is scored, s.

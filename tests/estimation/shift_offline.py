@@ -17,11 +17,11 @@ from tests.independent_line import Record, effect
 from tests.independent_line import shift as profiles
 from tests.independent_line.line import Hidden, Line
 
-from hilbench.diagnosis.synchronization import measurements_of, twin_config
 from hilbench.estimation.web_line.config import ModelErrorsConfig, SynchronizerConfig
 from hilbench.estimation.web_line.offline import Track, run_offline
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
+from hilbench.results.synchronization import measurements_of, twin_config
 
 #: From here on a twin that has just started is scored, s.
 SCORED_FROM_S = 1.0

@@ -14,8 +14,8 @@ from tests.estimation.shift_score import EstimateScore, TensionScore, behind, sh
 from tests.independent_line import Record, effect
 from tests.independent_line.shift import TENSION_N, courses, shift_line
 
-from hilbench.diagnosis.synchronization import methods_of
 from hilbench.estimation.web_line.config import ModelErrorsConfig
+from hilbench.results.synchronization import methods_of
 from hilbench.runs.config import load_with_overrides
 
 #: Of a right model: E and tension in motion, 1 s behind steps left out.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.emulated import emulation_of
+from hilbench.diagnosis.predictor import deviations_of
 from hilbench.live.line import LiveLine
 from hilbench.live.segment import Segment
 from hilbench.live.window import Window
@@ -69,7 +70,7 @@ def segment(taken: Array, F_next_N: Array, late: Rows) -> Segment:
 
 def left_by_the_right_model(found: Segment) -> dict[str, float]:
     """Mean square of what it leaves, by signal, in units of what a right model leaves."""
-    scaled = found.residual(pack(MODEL)) / found.deviations[:, None]
+    scaled = found.residual(pack(MODEL)) / deviations_of(found.predictor)[:, None]
     means = np.mean(scaled[:, found.predictor.rows] ** 2, axis=1)
     return dict(zip(found.predictor.names, means.tolist(), strict=True))
 

@@ -16,11 +16,11 @@ from hilbench.apps.sync.page import write_comparison
 from hilbench.diagnosis.bench_gap import LiveFigure, LiveGap
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Profile, Unobservable, Value
 from hilbench.diagnosis.residual_analysis import Misfit
-from hilbench.diagnosis.synchronization import Comparison, MethodResult
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.offline import Track
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
+from hilbench.results.synchronization import Comparison, MethodResult
 
 T_S = np.linspace(0.0, 10.0, 2000)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.residual_analysis import Condition
-from hilbench.plant.servo_axis.emulated_run import EmulatedRun, ShaftEmulation, simulate_emulated
+from hilbench.plant.servo_axis.emulated_run import ShaftEmulation, simulate_emulated
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 
 Array = NDArray[np.float64]
@@ -77,7 +77,5 @@ class AxisFreeRun:
 
     def predict(self, parameters: Array) -> Array:
         """(B, P) to (B, 1, n)."""
-        return self._run(parameters).tau_Nm[:, None, :]
-
-    def _run(self, parameters: Array) -> EmulatedRun:
-        return simulate_emulated(self.emulation, self._model, parameters, self._commands, self._start)
+        run = simulate_emulated(self.emulation, self._model, parameters, self._commands, self._start)
+        return run.tau_Nm[:, None, :]

@@ -7,7 +7,6 @@ larger than what nothing explains of either recording as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -22,17 +21,19 @@ from hilbench.diagnosis.diagnosis import (
     NamedEffect,
     Value,
     concluded,
+    effects_of,
     explained,
     unobservable,
 )
 from hilbench.diagnosis.fit import Fit, fit
-from hilbench.diagnosis.fit_with_residual_noise import fitted, weights
+from hilbench.diagnosis.fit_with_residual_noise import weights
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_rules import TIED
 from hilbench.diagnosis.noise import NORMAL_95, rms
 from hilbench.diagnosis.predictor import choice
 from hilbench.diagnosis.residual_noise import uncertainty
+from hilbench.diagnosis.search import Announce
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Key, Term, extended, parts
 from hilbench.errors import UnusableInputError
@@ -44,7 +45,6 @@ from hilbench.results.recording import Recording
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-Announce = Callable[[str, float], None]
 
 #: How many times as large torques, or speeds, of one machine may be in one recording as in the other.
 _ONE_MACHINE: Final = 100.0
@@ -197,7 +197,7 @@ def _lacked(before: Explained, terms: list[Term]) -> list[NamedEffect]:
     places = {term.place for term in terms if term.has_phase or not _by_the_clock(term)}
     if not places:
         return []
-    return [effect for effect in concluded(before).effects if effect.place in places]
+    return [effect for effect in effects_of(before) if effect.place in places]
 
 
 def _changed(found: Diagnosis, joint: _Joint, lacked: list[NamedEffect]) -> Diagnosis:
@@ -218,10 +218,12 @@ def _simplest(after: Explained) -> Explained:
     def left(found: Fit) -> float:
         return float(np.sum(found.residual[:, space.predictor.rows] ** 2))
 
-    alone = [fitted(space, [term]) for term in [*after.terms, *selection.candidates.candidates]]
+    limit, alone = (1.0 + TIED) * left(selection.fit), list[Fit]()
+    for term in [*after.terms, *selection.candidates.candidates]:
+        white = weights(space, [term])
+        alone.append(fit(space, white, [term], space.predictor.rows, limit * float(white.filters[0, 0]) ** 2))
     best = min(alone, key=left)
-    good = left(best) < (1.0 + TIED) * left(selection.fit)
-    return replace(after, selection=replace(selection, fit=best)) if good else after
+    return replace(after, selection=replace(selection, fit=best)) if left(best) < limit else after
 
 
 def _changed_beyond_rest(before: Explained, after: Explained) -> Diagnosis:

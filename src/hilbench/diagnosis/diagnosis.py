@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
+from hilbench.diagnosis.alternatives import FreeRules
 from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, untold_beside
 from hilbench.diagnosis.data_cleaning import Repair
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_interval_s
@@ -20,20 +21,21 @@ from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.noise import NORMAL_95, Whitening, floor, rms
-from hilbench.diagnosis.predictor import Choice, choice
+from hilbench.diagnosis.predictor import Choice, choice, deviations_of, torques_of
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import (
     Condition,
     Misfit,
     beyond_noise,
-    largest_ratio,
+    exceeds_noise,
+    in_floors,
     located,
     misfits,
-    ratios,
 )
 from hilbench.diagnosis.resonance import first_unseen, untold, with_torsional_mode
-from hilbench.diagnosis.select import Selection, search
-from hilbench.diagnosis.select_measured import MeasuredSearch
+from hilbench.diagnosis.search import Announce, search
+from hilbench.diagnosis.select_measured import MeasuredRules
+from hilbench.diagnosis.selection import Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
 from hilbench.diagnosis.terms import Place, Term, extended, parts
@@ -44,7 +46,6 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
 Array = NDArray[np.float64]
-Announce = Callable[[str, float], None]
 
 #: An effect is invisible when a change of its usual size is below so many standard deviations.
 _VISIBLE: Final = 5.0
@@ -253,81 +254,105 @@ def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce
     space = Space(model, predictor, data.period_s)
     proposer = proposer_for(predictor, model, data)
     if predictor.exact:
-        return Explained(space, chosen, data, search(space, proposer, announce, predictor.every))
+        return Explained(space, chosen, data, search(FreeRules(space, proposer), announce))
     as_simple = simple_beside(predictor)
-    selection = MeasuredSearch(space, proposer, announce, as_simple).run()
+    selection = search(MeasuredRules(space, proposer, as_simple), announce)
     if (settled := with_torsional_mode(space, selection.fit.terms)) is not None:
         chosen, space = replace(chosen, predictor=settled), Space(model, settled, data.period_s)
-        selection = MeasuredSearch(space, proposer, announce, as_simple).run()
+        selection = search(MeasuredRules(space, proposer, as_simple), announce)
     if few := untold(space, selection.fit):  # found given the others it is as little identified: once more without
         proposer = proposer_for(predictor, model, data, {term.effect.id for term in few})
-        selection = replace(MeasuredSearch(space, proposer, announce, as_simple).run(), of_too_few=few)
+        selection = replace(search(MeasuredRules(space, proposer, as_simple), announce), of_too_few=few)
     return Explained(space, chosen, data, selection)
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    """What the fitted terms leave: the terms with their uncertainty, and what nothing explains."""
+
+    judged: _Judged
+    floors: dict[int, float]  #: of the torques, by signal
+    misfits: list[Misfit]  #: of the torques, in their floors
+    conditions: list[Condition]
+    unexplained: list[Misfit]
+    unknown: bool
+    certain: list[Term]
+
+    @classmethod
+    def of(cls, found: Explained) -> _Verdict:
+        """Judge the residual of a search."""
+        space, selection, predictor = found.space, found.selection, found.chosen.predictor
+        rows, torques, names = predictor.rows, torques_of(predictor), predictor.names
+        judged = _judged_by_noise(space, selection) if predictor.exact else _judged_by_rest(space, selection)
+        trained, final = judged.trained, judged.final
+        # Fast motion that the model explains is no noise.
+        floors = {k: floor(final.residual[k]) for k in torques}
+        if predictor.exact:
+            floors = {k: min(value, predictor.floor(k)) for k, value in floors.items()}
+        conditions = predictor.conditions(space.packed(final.terms))
+        after = misfits(*in_floors(predictor.names, final.residual, floors), rows, conditions)
+        unexplained = [m for m in after if m.significant]
+        if predictor.exact:
+            unexplained += _beyond_noise(space, final)
+            unknown = bool(unexplained) or exceeds_noise(final.residual, rows, floors)
+        else:
+            # Of a fit to all rows, and of one to the others on those held out: it has to hold where it was not made.
+            left = ((final.residual, rows), (trained.residual, rows & space.split.test))
+            unknown = any(
+                rms(rest[k, at]) > LARGEST_REST * rms(predictor.measured[k, rows]) for rest, at in left for k in torques
+            )
+        better, too_few = selection.better, selection.of_too_few
+        unexplained += [Misfit(names[torques[0]], *_swing(term), 0.0, 0.0, "always") for term in too_few]
+        unknown |= selection.exhausted or better is not None or bool(too_few)
+        if better is not None:  # what pulls at the last roller shows in its torque
+            unexplained = [Misfit(names[torques[-1]], better.name, better.detail, 0.0, 0.0, "always"), *unexplained]
+        # Where a right model leaves noise alone what leaves more is right in nothing; elsewhere each effect was judged
+        # with the rest as noise.
+        certain = [] if unknown and predictor.exact else final.terms
+        return cls(judged, floors, after, conditions, unexplained, unknown, certain)
+
+
+def effects_of(found: Explained) -> list[NamedEffect]:
+    """Effects that a search has found, with their intervals."""
+    verdict = _Verdict.of(found)
+    return _named(found.space.model, verdict.certain, verdict.judged, found.selection)
 
 
 def concluded(found: Explained, announce: Announce = lambda text, share: None) -> Diagnosis:
     """The verdict on what a search has found; effects with their intervals, gaps, and where they were."""
     announce("judge the residual", 0.95)
     space, chosen, data, selection = found.space, found.chosen, found.data, found.selection
-    predictor = chosen.predictor
-    before = space.before
-    rows = predictor.rows
-    too_few = selection.of_too_few
-    judged = _judged_by_noise(space, selection) if predictor.exact else _judged_by_rest(space, selection)
-    trained, final = judged.trained, judged.final
-    torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
-    # Fast motion that the model explains is no noise.
-    floors = {k: floor(final.residual[k]) for k in torques}
-    if predictor.exact:
-        floors = {k: min(value, predictor.floor(k)) for k, value in floors.items()}
-    conditions = predictor.conditions(space.packed(final.terms))
-    scale = np.array([floors[k] for k in torques])[:, None]
-    names = tuple(predictor.names[k] for k in torques)
+    predictor, before, test, of = chosen.predictor, space.before, space.split.test, _Verdict.of(found)
+    trained, final, floors, conditions = of.judged.trained, of.judged.final, of.floors, of.conditions
     proposer = proposer_for(predictor, space.model, data)
-    after = misfits(names, final.residual[torques] / scale, rows, conditions)
-    unexplained = [m for m in after if m.significant]
-    depends = misfits(names, before[torques] / scale, rows, conditions)
-    if predictor.exact:
-        unexplained += _beyond_noise(space, final)
-        unknown = bool(unexplained) or max(ratios(final.residual, rows, floors).values()) > largest_ratio(rows)
-    else:
-        # Of a fit to all rows, and of one to the others on those held out: it has to hold where it was not made.
-        left = ((final.residual, rows), (trained.residual, rows & space.split.test))
-        unknown = any(
-            rms(rest[k, at]) > LARGEST_REST * rms(predictor.measured[k, rows]) for rest, at in left for k in torques
-        )
-    better = selection.better
-    unexplained += [Misfit(names[0], *_swing(term), 0.0, 0.0, "always") for term in too_few]
-    unknown |= selection.exhausted or better is not None or bool(too_few)
-    if better is not None:  # what pulls at the last roller shows in its torque
-        unexplained = [Misfit(names[-1], better.name, better.detail, 0.0, 0.0, "always"), *unexplained]
-    verdict = "unknown" if unknown else ("named" if final.terms else "complete")
-    # Where a right model leaves noise alone what leaves more is right in nothing; elsewhere each effect was judged with
-    # the rest as noise.
-    certain = [] if unknown and predictor.exact else final.terms
-    effects = _named(space.model, certain, judged, selection)
-    test = space.split.test
-    gaps = [_gap(predictor.names[k], before[k], trained.residual[k], floors[k], test) for k in torques]
-    where = located(names, before[torques] / scale, rows, conditions, _ROWS_OF_WHERE)
+    names, scaled = in_floors(predictor.names, before, floors)
+    effects = _named(space.model, of.certain, of.judged, selection)
+    gaps = [
+        Gap(predictor.names[k], rms(before[k, test]), rms(trained.residual[k, test]), value, "N·m")
+        for k, value in floors.items()
+    ]
+    where = located(names, scaled, predictor.rows, conditions, _ROWS_OF_WHERE)
     if not where:
-        where = located(names, final.residual[torques] / scale, rows, conditions, _ROWS_OF_WHERE)
+        where = located(*in_floors(predictor.names, final.residual, floors), predictor.rows, conditions, _ROWS_OF_WHERE)
+    depends = misfits(names, scaled, predictor.rows, conditions)
     floor_of = {predictor.names[k]: value for k, value in floors.items()}
+    told = [*selection.of_too_few, *selection.untold]
     return Diagnosis(
-        verdict=verdict,
+        verdict="unknown" if of.unknown else ("named" if final.terms else "complete"),
         effects=effects,
         gaps=gaps,
         where=_where(where),
-        profiles=_profiles(depends, after, floor_of, max(gaps, key=_size).signal),
-        unexplained=unexplained,
+        profiles=_profiles(depends, of.misfits, floor_of, max(gaps, key=_size).signal),
+        unexplained=of.unexplained,
         unobservable=[
             *unobservable(selection),
             *_waves_too_fast(space, proposer, selection),
             *_unseen_resonances(space, proposer, selection),
-            *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in [*too_few, *selection.untold]),
+            *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in told),
             *(_without_other(effect) for effect in untold_beside(predictor, space.model)),
         ],
         missing_channels=data.missing,
-        model=extended(space.model, certain),
+        model=extended(space.model, of.certain),
         names=predictor.names,
         t_s=data.t_s[:: predictor.every][: before.shape[1]],
         before=before,
@@ -341,7 +366,7 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
             *_presliding(space.model, chosen),
             *_coupling(space, final),
         ],
-        laws=_laws(space, names, final.residual[torques], conditions) if unexplained else [],
+        laws=_laws(space, names, final.residual[list(floors)], conditions) if of.unexplained else [],
         repairs=data.repairs,
     )
 
@@ -360,10 +385,8 @@ def _without_other(effect: Effect) -> Unobservable:
 def _beyond_noise(space: Space, final: Fit) -> list[Misfit]:
     """Signals other than the torques (positions, speeds, tensions) that deviate from the model beyond noise."""
     predictor = space.predictor
-    others = [k for k, name in enumerate(predictor.names) if not name.startswith("tau")]
-    floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
-    believed = np.hypot(floors, predictor.tolerances)
-    return beyond_noise(predictor.names, final.residual, predictor.rows, believed, others)
+    others = [k for k in range(len(predictor.names)) if k not in torques_of(predictor)]
+    return beyond_noise(predictor.names, final.residual, predictor.rows, deviations_of(predictor), others)
 
 
 def _nuisance(model: Machine, chosen: Choice, effects: list[NamedEffect]) -> list[NamedEffect]:
@@ -456,10 +479,6 @@ def _judged_by_rest(space: Space, selection: Selection) -> _Judged:
     trained = fit(space, weights(space, final.terms), final.terms)
     known = stated_uncertainty(space, final)
     return _Judged(trained, final, known.covariance, known.quantiles(0.95), {})
-
-
-def _gap(name: str, before: Array, after: Array, noise: float, rows: NDArray[np.bool_]) -> Gap:
-    return Gap(name, rms(before[rows]), rms(after[rows]), noise, "N·m")
 
 
 def _moments(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.machine_kinds import machine_part
-from hilbench.plant.effect import Domain, Effect, MachineKind, Section
+from hilbench.plant.effect import Domain, Effect, Section
 from hilbench.plant.effects import STATION_EFFECTS, effects_of, find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
@@ -36,14 +36,9 @@ def is_lone(model: Machine) -> bool:
     return model.span_count == 0
 
 
-def kind_of(model: Machine) -> MachineKind:
-    """By whose rows its effects are."""
-    return model.machine_kind
-
-
 def vocabulary(model: Machine) -> tuple[Effect, ...]:
     """Effects that it may lack."""
-    return effects_of(kind_of(model)) + (STATION_EFFECTS if has_stations(model) else ())
+    return effects_of(model.machine_kind) + (STATION_EFFECTS if has_stations(model) else ())
 
 
 def has_stations(model: Machine) -> bool:
@@ -113,7 +108,7 @@ def entries_at(model: Machine, effect: Effect, axis: int | None, section: Sectio
 
 def effect_of(model: Machine, effect_id: str) -> Effect:
     """The row as the machine has it. Raises KeyError."""
-    return find_effect(effect_id, kind_of(model))
+    return find_effect(effect_id, model.machine_kind)
 
 
 def without_unbalance(parameters: Array) -> Array:

@@ -22,8 +22,8 @@ from hilbench.diagnosis.fit import Fit, fit
 from hilbench.diagnosis.fit_with_residual_noise import fitted, uncertainty_of, weights
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.residual_noise import Uncertainty
+from hilbench.diagnosis.selection import CandidateSet
 from hilbench.diagnosis.space import Space
-from hilbench.diagnosis.steps import CandidateSet
 from hilbench.diagnosis.stretched_problem import STRETCHES, basis, own_share
 from hilbench.diagnosis.terms import RANK, Term, parts
 from hilbench.plant.effect import Domain

@@ -89,6 +89,17 @@ def choice(model: Machine, data: Measured, emulation: AnyEmulation | None = None
     return found
 
 
+def torques_of(predictor: Predictor) -> list[int]:
+    """Numbers of the signals that are torques."""
+    return [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
+
+
+def deviations_of(predictor: Predictor, tolerated: float = 1.0) -> Array:
+    """(signals,): what a right model is off by: noise, and the tolerances, or a share of them."""
+    floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
+    return np.asarray(np.hypot(floors, tolerated * predictor.tolerances))
+
+
 def is_cycle(cycles: float) -> bool:
     """True if a row of a bench's recording is whole cycles after the one before."""
     return cycles > 0.5 and abs(cycles - round(cycles)) <= _UNEVEN_CYCLES

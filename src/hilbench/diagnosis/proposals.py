@@ -216,9 +216,9 @@ class Proposer:
             for axis in self._axes:
                 if axis in self._data.x_m and axis in self._data.tau_Nm:
                     residuals = self._by_torque(effect, axis, whitened, every)
-                    terms += self._orders(effect, axis, residuals, present, every)
+                    terms += self._waves(effect, axis, residuals, present, every)
         for effect in self._over(ProbeOver.TIME):
-            terms += self._frequencies(effect, whitened, present, every)
+            terms += self._waves(effect, None, whitened, present, every)
         return terms
 
     def _by_torque(self, effect: Effect, axis: int, whitened: dict[str, Array], every: int) -> dict[str, Array]:
@@ -379,32 +379,25 @@ class Proposer:
         slot = len(entries) + sum(section is None or term.section in (None, section) for term in there)
         return slot if slot < effect.slots else None
 
-    def _orders(
-        self, effect: Effect, axis: int, whitened: dict[str, Array], present: list[Term], every: int
+    def _waves(
+        self, effect: Effect, axis: int | None, whitened: dict[str, Array], present: list[Term], every: int
     ) -> list[Term]:
+        """Terms of an effect at the strongest orders of an axis's motor, or frequencies (None), of residuals (n,)."""
         slot = self._slot(effect, axis, present)
-        if slot is None or self._turns(axis) < _LEAST_TURNS or effect.probe is None:
+        if slot is None or effect.probe is None or (axis is not None and self._turns(axis) < _LEAST_TURNS):
             return []
-        angle = self._data.x_m[axis][::every] * self._model.motor_rad_per_unit(axis) / _TURN
-        sharp = [name for name in whitened if f"tau{axis}_Nm" in name]
-        orders, count = self._peaks(
-            angle, whitened, sharp, self._least_order(axis), min(_HIGHEST_ORDER, _followed(angle))
-        )
+        if axis is None:
+            turns, lowest = self._data.t_s[::every], _LEAST_CYCLES / self._data.duration_s
+            highest, sharp = min(self._highest_Hz() / every, 100.0), "tau"
+        else:
+            turns = self._data.x_m[axis][::every] * self._model.motor_rad_per_unit(axis) / _TURN
+            lowest, highest, sharp = self._least_order(axis), min(_HIGHEST_ORDER, _followed(turns)), f"tau{axis}_Nm"
+        orders, count = self._peaks(turns, whitened, [name for name in whitened if sharp in name], lowest, highest)
         return [self._term(effect, axis, {effect.probe.parameter: order}, slot, count) for order in orders]
 
     def _highest_Hz(self) -> float:
         """Highest frequency that is looked for in the rows of the recording."""
         return _OF_THE_ROWS / self._data.period_s
-
-    def _frequencies(self, effect: Effect, whitened: dict[str, Array], present: list[Term], every: int) -> list[Term]:
-        slot = self._slot(effect, None, present)
-        if slot is None or effect.probe is None:
-            return []
-        highest = min(self._highest_Hz() / every, 100.0)
-        torques = [name for name in whitened if name.startswith("tau")]
-        lowest = _LEAST_CYCLES / self._data.duration_s
-        frequencies, count = self._peaks(self._data.t_s[::every], whitened, torques, lowest, highest)
-        return [self._term(effect, None, {effect.probe.parameter: f}, slot, count) for f in frequencies]
 
 
 def _followed(angle_turns: Array) -> float:

@@ -240,6 +240,11 @@ def beyond_noise(
     return [one for one in found if one.significant]
 
 
-def ratios(residual: Array, rows: NDArray[np.bool_], floors: Mapping[int, float]) -> dict[int, float]:
-    """Rms of residuals (signals, n) over the floor, by signal."""
-    return {k: rms(residual[k, rows]) / floor for k, floor in floors.items()}
+def exceeds_noise(residual: Array, rows: NDArray[np.bool_], floors: Mapping[int, float]) -> bool:
+    """True if the rms of residuals (signals, n) is more than noise alone makes of it, by signal."""
+    return any(rms(residual[k, rows]) / floor > largest_ratio(rows) for k, floor in floors.items())
+
+
+def in_floors(names: Sequence[str], residual: Array, floors: Mapping[int, float]) -> tuple[tuple[str, ...], Array]:
+    """Names and residuals (signals, n) of those signals that have a floor, in their floors."""
+    return tuple(names[k] for k in floors), residual[list(floors)] / np.array([*floors.values()])[:, None]

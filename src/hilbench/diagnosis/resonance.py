@@ -23,7 +23,7 @@ from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.measured_rules import is_in_known_band, least_share
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.select import Selection
+from hilbench.diagnosis.selection import Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.stretched_problem import basis, without
 from hilbench.diagnosis.terms import Place, Term, parts

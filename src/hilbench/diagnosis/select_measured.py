@@ -1,4 +1,4 @@
-"""Which terms the data ask for where a right model would not leave noise alone: prediction on measured motion.
+"""Rules of a search where a right model would not leave noise alone: prediction on measured motion.
 
 There the torque is nearly linear in every strength, so that one Gram matrix tells what any term explains beside any
 others. What is left at the end is never noise; its spectrum is taken for one (`hilbench.diagnosis.residual_noise`). A
@@ -10,13 +10,11 @@ term is certain when
 - stretches that did not take part in the fit agree.
 
 The simple effects come first (marginality, Nelder 1977): a law of higher order is read beside those that it is made of.
-
-How often that is right: tools/diagnose_rigs.py, docs/diagnosis_method.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from itertools import chain, compress
 from typing import Final
 
@@ -42,17 +40,14 @@ from hilbench.diagnosis.measured_rules import (
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_noise import Uncertainty
-from hilbench.diagnosis.select import Selection
+from hilbench.diagnosis.selection import CandidateSet, Selection
 from hilbench.diagnosis.side_bands import NEAR, SideBands, is_near_present, order_of
 from hilbench.diagnosis.space import Space, noise_model
-from hilbench.diagnosis.steps import CandidateSet
 from hilbench.diagnosis.stretched_problem import StretchedProblem, basis, own_share, without
 from hilbench.diagnosis.terms import RANK, Key, Place, Term, parts, strength_parts
 
 Array = NDArray[np.float64]
-Announce = Callable[[str, float], None]
 
-_MOST_TERMS: Final = 10
 #: Chance up to which a term that is neutral may be found all the same, over all places that it was searched for at.
 _CHANCE: Final = 1e-3
 #: The same beside what the prediction may be off by: of less its 95 % interval has no neutral value.
@@ -72,67 +67,66 @@ _CHANGING: Final = 0.5
 _CONTENDERS: Final = 6
 
 
-class MeasuredSearch:
-    """The search over one space."""
+class MeasuredRules:
+    """Rules of a search where what is left is never noise."""
 
-    def __init__(self, space: Space, proposer: Proposer, announce: Announce, as_simple: Collection[str] = ()) -> None:
+    most_terms = 10
+
+    def __init__(self, space: Space, proposer: Proposer, as_simple: Collection[str] = ()) -> None:
         """as_simple: effects that are looked for as early as friction and offset are."""
-        self._space, self._proposer, self._announce = space, proposer, announce
-        self._as_simple = as_simple
-        self._rows = space.predictor.rows
+        self.space, self.proposer, self.rows, self._as_simple = space, proposer, space.predictor.rows, as_simple
+        self.samples = float(np.count_nonzero(self.rows) * len(space.predictor.names))
         self._bands: tuple[Fit, SideBands] | None = None  # last fit that they were asked of
 
-    def run(self) -> Selection:
-        """Add what explains more than a small share, the simple first; then drop what is not certain given all others.
+    def fit_of(self, terms: list[Term]) -> Fit:
+        """Fitted to all rows that count."""
+        return fitted(self.space, terms)
 
-        With a gross error of the model nothing is certain, so that comes last.
-        """
-        current = fitted(self._space, [])
-        offered = self._offered(current)
-        for depth in range(_MOST_TERMS):
-            self._announce(f"step {depth + 1}: {len(offered.candidates)} candidates", 0.1 + 0.7 * depth / _MOST_TERMS)
-            found = self._with_one_more(current, offered)
-            if found is None:
-                break
-            current = found
-            offered = self._offered(current)
-        steady = in_both_halves(self._space, in_every_band(self._space, current))
+    def pruned(self, current: Fit, white: Whitening) -> Fit:
+        """As it is: with a gross error of the model nothing is certain, and nothing superfluous."""
+        return current
+
+    def continued(self, best: Fit, offered: CandidateSet) -> tuple[Fit, CandidateSet, bool]:
+        """From the candidates at the new model; there is always more."""
+        return best, self.candidates(best), True
+
+    def judged(self, current: Fit, offered: CandidateSet) -> Selection:
+        """What is certain given all others."""
+        steady = in_both_halves(self.space, in_every_band(self.space, current))
         wandering = {term.place for term in current.terms} - {term.place for term in steady.terms}
         certain = self._without_superfluous(steady)
         if len(certain.terms) < len(current.terms):
-            offered = self._offered(certain)
+            offered = self.candidates(certain)
         current = certain
-        self._announce("what else could explain it", 0.85)
         tied = self._tied(current, offered, wandering)
         plainer = self._with_first_of_alike(current, tied, offered)
         if plainer is not current:
-            current, offered = plainer, self._offered(plainer)
+            current, offered = plainer, self.candidates(plainer)
             tied = self._tied(current, offered, wandering)
-        samples = float(np.count_nonzero(self._rows) * len(self._space.predictor.names))
         # On one steady sine an inertia replaces a resonance, and leaves more.
         swung = any(term.swings for term in steady.terms) and not any(term.swings for term in current.terms)
-        exhausted = swung and is_on_one_sine(self._space)
+        exhausted = swung and is_on_one_sine(self.space)
         untold = self._untold(current, tied, offered)
-        return Selection(current, offered, samples, tied, self._evidence(current), exhausted, untold=untold)
+        return Selection(current, offered, self.samples, tied, self._evidence(current), exhausted, untold=untold)
 
     # -- fits ----------------------------------------------------------------------------------------------
 
     def _counted(self, values: Array) -> Array:
         """Rows of (…, signals, n) that count."""
-        return values[..., self._rows]
+        return values[..., self.rows]
 
     def _side_bands(self, current: Fit) -> SideBands:
         """Those of the terms that are there."""
         if self._bands is None or self._bands[0] is not current:
-            self._bands = current, SideBands(self._space, self._proposer, current.terms)
+            self._bands = current, SideBands(self.space, self.proposer, current.terms)
         return self._bands[1]
 
     # -- candidates ----------------------------------------------------------------------------------------
 
-    def _offered(self, current: Fit) -> CandidateSet:
+    def candidates(self, current: Fit) -> CandidateSet:
         """Every candidate with its response; orders and frequencies from the residual's spectrum."""
-        space = self._space
-        plain = self._proposer.plain()
+        space = self.space
+        plain = self.proposer.plain()
         candidates = [t for t in plain if not any(map(t.overlaps, current.terms)) and is_in_known_band(space, t)]
         responses = space.strengths(current.terms, current.residual, candidates)
         own = space.point(current.terms, current.residual).derivatives
@@ -161,19 +155,15 @@ class MeasuredSearch:
         found: list[Term] = []
         beside = self._side_bands(current).taken_out_of(current.residual)
         for apply in (lambda values: values, white.apply):
-            left = self._masked(apply(beside))
-            named = dict(zip(self._space.predictor.names, left, strict=True))
-            terms = self._proposer.searched(named, current.terms, self._space.predictor.every)
-            responses = self._space.strengths(current.terms, current.residual, terms)
+            left = np.where(self.rows, apply(beside), 0.0)
+            named = dict(zip(self.space.predictor.names, left, strict=True))
+            terms = self.proposer.searched(named, current.terms, self.space.predictor.every)
+            responses = self.space.strengths(current.terms, current.residual, terms)
             for term, response in zip(terms, responses, strict=True):
-                masked = self._masked(apply(response))
-                found.append(self._proposer.tuned(term, left, masked, self._space.predictor.every)[0])
-        found = [term for term in found if not is_near_present(self._space, self._proposer, term, current)]
-        return found + [whole for term in found for whole in self._proposer.at_whole_orders(term)]
-
-    def _masked(self, values: Array) -> Array:
-        """Values (…, n) with zeros in the rows that do not count."""
-        return np.where(self._rows, values, 0.0)
+                masked = np.where(self.rows, apply(response), 0.0)
+                found.append(self.proposer.tuned(term, left, masked, self.space.predictor.every)[0])
+        found = [term for term in found if not is_near_present(self.space, self.proposer, term, current)]
+        return found + [whole for term in found for whole in self.proposer.at_whole_orders(term)]
 
     def _linear(
         self, residual: Array, own: Array, offered: CandidateSet, beside: SideBands | None = None
@@ -192,52 +182,34 @@ class MeasuredSearch:
 
     # -- additions ---------------------------------------------------------------------------------------
 
-    def _with_one_more(self, current: Fit, offered: CandidateSet) -> Fit | None:
+    def best_addition(self, current: Fit, offered: CandidateSet) -> Fit | None:
         """The fit with the candidate that explains most of those that are certain; the simple ones go first."""
         problem = self._linear(offered.residual, offered.own, offered, self._side_bands(current))
-        mine, groups = list(range(len(offered.own))), offered.groups(len(offered.own))
-        simple = [
-            column
-            for term, group in zip(offered.candidates, groups, strict=True)
-            if not term.effect.removable
-            for column in group
-        ]
+        mine, members = list(range(len(offered.own))), offered.members(len(offered.own))
+        simple = [column for term, group in members if not term.effect.removable for column in group]
         before, before_unseen = problem.left(mine)[0], problem.left_unseen(mine)
-        waves = [
-            (term, self._wave_gain(problem, mine, group))
-            for term, group in zip(offered.candidates, groups, strict=True)
-            if term.has_phase
-        ]
-        whole = [
-            (term, problem.gain_by_stretch(mine, group))
-            for term, group in zip(offered.candidates, groups, strict=True)
-            if term.held
-        ]
-        is_identified, offers = identifiable_on_one_sine(self._space, current.terms, offered), []
-        for term, group in compress(zip(offered.candidates, groups, strict=True), is_identified):
-            started = self._started(problem, mine, term, group)
-            least = least_share(term)
+        waves = [(term, self._wave_gain(problem, mine, group)) for term, group in members if term.has_phase]
+        whole = [(term, problem.gain_by_stretch(mine, group)) for term, group in members if term.held]
+        offers = []
+        for term, group in compress(members, identifiable_on_one_sine(self.space, current.terms, offered)):
+            started, least = self._started(problem, mine, term, group), least_share(term)
             if started is None or before - started[0] < least * before:
                 continue
             # A law of higher order is fitted with those that it is made of, even where these are not identified.
             if term.effect.removable and problem.own_share(group[0], [*mine, *simple]) < _OWN_SHARE:
                 continue
+            unseen, free = before_unseen - problem.left_unseen([*mine, *group]), 0.0
             if term.has_phase:
-                unseen = problem.gain_unseen_in_phase(mine, group)
-            else:
-                unseen = before_unseen - problem.left_unseen([*mine, *group])
+                unseen, free = problem.gain_unseen_in_phase(mine, group), problem.gain_by_stretch(mine, group)
             if unseen < 0.5 * least * before_unseen:
                 continue
-            if term.has_phase:
-                free = self._wave_gain(problem, mine, group)
-                if any(self._is_as_good_a_wave(other, gain, term, free) for other, gain in waves):
-                    continue
-            free = problem.gain_by_stretch(mine, group) if term.has_phase else 0.0
-            offers.append(Offer(started[1], started[0], problem.own_share(group[0], mine), free))
+            its = next((gain for other, gain in waves if other is term), 0.0)
+            if not any(self._is_as_good_a_wave(other, gain, term, its) for other, gain in waves):
+                offers.append(Offer(started[1], started[0], problem.own_share(group[0], mine), free))
         offers = [offer for offer in offers if not is_beside_a_whole_order(offer, whole)]
         for offer in in_order(offers, self._as_simple)[:_CONTENDERS]:
-            found = fitted(self._space, [*current.terms, offer.term])
-            if not all(is_in_known_band(self._space, term) for term in found.terms):
+            found = fitted(self.space, [*current.terms, offer.term])
+            if not all(is_in_known_band(self.space, term) for term in found.terms):
                 continue
             left = self._counted(self._side_bands(current).taken_out_of(found.residual))
             if float(np.sum(left**2)) < (1.0 - least_share(offer.term)) * before:
@@ -249,7 +221,7 @@ class MeasuredSearch:
 
         There what goes with the torque, and what goes with the direction, are one.
         """
-        sizes = np.abs(self._counted(self._space.predictor.measured))
+        sizes = np.abs(self._counted(self.space.predictor.measured))
         if np.all(np.std(sizes, axis=-1) < _CHANGING * np.mean(sizes, axis=-1)):
             return problem.gain_by_stretch(mine, group)
         return problem.gain_unseen_in_phase(mine, group)
@@ -262,7 +234,7 @@ class MeasuredSearch:
         if not wave.has_phase or RANK[other.effect.id] >= RANK[wave.effect.id]:
             return False
         return (
-            abs(order_of(self._space, self._proposer, other) - order_of(self._space, self._proposer, wave)) < NEAR
+            abs(order_of(self.space, self.proposer, other) - order_of(self.space, self.proposer, wave)) < NEAR
             and gain >= WHOLE * its
         )
 
@@ -293,7 +265,7 @@ class MeasuredSearch:
     def _chances(self, found: Fit, known: Uncertainty | None = None) -> list[float]:
         """Probability for each term that it is neutral and was found by chance; known: by default with the residual
         as noise."""
-        known = uncertainty_of(self._space, found) if known is None else known
+        known = uncertainty_of(self.space, found) if known is None else known
         return [known.chance(part, t.moved) for t, part in zip(found.terms, strength_parts(found.terms), strict=True)]
 
     # -- earlier choices ---------------------------------------------------------------------------------
@@ -302,13 +274,13 @@ class MeasuredSearch:
         """The fit without the terms that the others have made uncertain, one by one, the least certain first."""
         while current.terms:
             chances, shares = self._chances(current), self._shares(current)
-            stated = self._chances(current, stated_uncertainty(self._space, current))
+            stated = self._chances(current, stated_uncertainty(self.space, current))
             for k in np.argsort(chances)[::-1]:
                 term = current.terms[k]
                 least = _STAYING_SHARE / LEAST_SHARE * least_share(term)
                 chance = _CHANCE / term.multiplicity * min(1.0, shares[k] / _LARGE_SHARE)
                 if chances[k] > chance or shares[k] < least or stated[k] > _NEUTRAL_IN_INTERVAL:
-                    current = fitted(self._space, [*current.terms[:k], *current.terms[k + 1 :]])
+                    current = fitted(self.space, [*current.terms[:k], *current.terms[k + 1 :]])
                     break
             else:
                 break
@@ -319,7 +291,7 @@ class MeasuredSearch:
 
         Of what is no wave beside the side bands of the waves: a delay makes up for a phase that changes with the speed.
         """
-        own = self._space.point(current.terms, current.residual).derivatives
+        own = self.space.point(current.terms, current.residual).derivatives
         both, shares = np.concatenate([own, self._side_bands(current).columns]), []
         problems = [StretchedProblem.of(self._counted(current.residual), self._counted(each)) for each in (both, own)]
         for term, part in zip(current.terms, parts(current.terms), strict=True):
@@ -334,14 +306,14 @@ class MeasuredSearch:
         """Alternatives to each term that leave as little, but for those on which no two bands agree."""
         tied: dict[Key, list[Place]] = {}
         count = len(offered.own)
-        problem, groups = self._linear(current.residual, offered.own, offered), offered.groups(count)
+        problem, members = self._linear(current.residual, offered.own, offered), offered.members(count)
         here = problem.left(list(range(count)))[0]
         for term, part in zip(current.terms, parts(current.terms), strict=True):
             mine = [c for c in range(count) if c not in range(part.start, part.stop)]
             # The residual without the term, as far as it is linear in it.
             without = problem.with_back(range(count)[part][: term.linear], term.moved)
             tied[term.key] = []
-            for other, group in zip(offered.candidates, groups, strict=True):
+            for other, group in members:
                 if other.place in {term.place, *wandering, *tied[term.key]}:
                     continue
                 if term.effect.removable or other.effect.removable:
@@ -368,7 +340,7 @@ class MeasuredSearch:
                 continue
             if other.has_phase or not other.effect.is_alike(term.effect):
                 continue
-            instead = self._counted(fitted(self._space, [*rest, other]).residual)
+            instead = self._counted(fitted(self.space, [*rest, other]).residual)
             if float(np.sum(instead**2)) < (1.0 + TIED) * left:
                 known.add(other.place)
                 yield other.place
@@ -385,13 +357,13 @@ class MeasuredSearch:
             ]
             if instead:
                 first = min(instead, key=lambda other: RANK[other.effect.id])
-                found = fitted(self._space, [first if one is term else one for one in current.terms])
+                found = fitted(self.space, [first if one is term else one for one in current.terms])
                 return self._with_first_of_alike(found, {one.key: [] for one in found.terms} | tied, offered)
         return current
 
     def _untold(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> list[Term]:
         """A candidate of each place of which this motion can tell none, and that is tied with nothing."""
-        is_identified = identifiable_on_one_sine(self._space, current.terms, offered)
+        is_identified = identifiable_on_one_sine(self.space, current.terms, offered)
         known = {*(term.place for term in current.terms), *chain.from_iterable(tied.values())}
         known |= {term.place for term in compress(offered.candidates, is_identified)}
         return list({term.place: term for term in offered.candidates if term.place not in known}.values())

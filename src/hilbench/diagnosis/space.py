@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.noise import ORDER, Whitening, scaling, whitening
-from hilbench.diagnosis.predictor import Predictor
+from hilbench.diagnosis.predictor import Predictor, deviations_of
 from hilbench.diagnosis.terms import Term, pack_with
 from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
@@ -37,6 +37,8 @@ _EMBARGO_S: Final = 1.0
 _LEAST_BLOCKS_OF_ONE_AXIS: Final = 6
 #: Runs of the model that are held in memory at once: more than a machine has cores, less than its cache and pages.
 _AT_ONCE: Final = 16
+#: Bytes of predictions that are kept: a search comes back to the models that it has just been at.
+_KEPT: Final = 64e6
 
 
 @dataclass(frozen=True)
@@ -166,6 +168,7 @@ class Space:
     simulations: int = 0
     _base: Array = field(init=False)  #: the model's parameter vector
     _quick: Array = field(init=False)  #: of the measured (signals, n), what terms make of the quick part of the motion
+    _known: dict[bytes, Array] = field(init=False, default_factory=dict)  #: latest predictions, by parameter vector
 
     def __post_init__(self) -> None:
         self._base = machines.of_kind(self.model).pack(self.model)
@@ -181,7 +184,7 @@ class Space:
             shortest_s = min(shortest_s, self.duration_s / _LEAST_BLOCKS_OF_ONE_AXIS)
         # Noise that is white is scaled, whatever was before it; the filter for another has a memory.
         memory = 0 if exact else ORDER
-        left = _noise_of_right_model(self.predictor).apply(residual) if exact else None
+        left = scaling(deviations_of(self.predictor)).apply(residual) if exact else None
         row_s = self.period_s * self.predictor.every
         return Split.balanced(self.predictor.measured, rows, row_s, shortest_s, left, memory)
 
@@ -192,7 +195,7 @@ class Space:
         """
         if not self.predictor.exact:
             return False
-        excess = _excess(_noise_of_right_model(self.predictor).apply(residual), self.predictor.rows)
+        excess = _excess(scaling(deviations_of(self.predictor)).apply(residual), self.predictor.rows)
         if _unseen(excess, self.split) < _MOST_HELD_OUT:
             return False
         split = self._balanced(residual)
@@ -217,14 +220,18 @@ class Space:
 
     def residuals(self, variants: list[list[Term]]) -> Array:
         """(variants, signals, n)."""
-        self.simulations += len(variants)
-        parameters = np.array([self.packed(terms) for terms in variants])
+        keys = [self.packed(terms).tobytes() for terms in variants]
+        new = [key for key in dict.fromkeys(keys) if key not in self._known]
+        self.simulations += len(new)
         known = self.predictor.measured - self._quick
-        found = np.empty((len(variants), *known.shape))
-        for first in range(0, len(variants), _AT_ONCE):
-            part = slice(first, first + _AT_ONCE)
+        for first in range(0, len(new), _AT_ONCE):
+            part = new[first : first + _AT_ONCE]
             with np.errstate(over="ignore", invalid="ignore"):  # a model far off may run away; fits see that
-                np.subtract(known, self.predictor.predict(parameters[part]), out=found[part])
+                predicted = self.predictor.predict(np.array([np.frombuffer(key) for key in part]))
+            self._known |= dict(zip(part, predicted, strict=True))
+        found = np.array([known - self._known[key] for key in keys]).reshape(-1, *known.shape)
+        for key in list(self._known)[: max(len(self._known) - int(_KEPT / max(known.nbytes, 1)), 0)]:
+            del self._known[key]
         return found
 
     def settle(self, terms: list[Term]) -> bool:
@@ -287,36 +294,21 @@ class Space:
 
         `residual` is the one of that model.
         """
-        if not candidates:
-            return []
-        variants: list[list[Term]] = []
-        counts = []
+        variants = []
         for candidate in candidates:
             neutral = candidate.neutral().coordinates()
-            for k in range(candidate.linear):
+            for k, probe in enumerate(candidate.probes()):
                 moved = neutral.copy()
-                moved[k] += candidate.probes()[k]
+                moved[k] += probe
                 variants.append([*terms, candidate.at(moved)])
-            counts.append(candidate.linear)
-        found = self.residuals(variants)
-        result, at = [], 0
-        for candidate, count in zip(candidates, counts, strict=True):
-            steps = candidate.probes()[:, None, None]
-            result.append((residual - found[at : at + count]) / steps)
-            at += count
-        return result
+        found = iter(self.residuals(variants))
+        return [np.array([(residual - next(found)) / probe for probe in one.probes()]) for one in candidates]
 
 
 def finest(space: Space) -> Whitening | None:
     """Whitening with a quarter of the tolerances, to choose between good explanations; None where nothing is
     tolerated."""
-    return _noise_of_right_model(space.predictor, 0.25) if space.predictor.exact else None
-
-
-def _noise_of_right_model(predictor: Predictor, tolerated: float = 1.0) -> Whitening:
-    """Whitening by a right model's residual: its floor, and the tolerances, or a share of them."""
-    floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
-    return scaling(np.hypot(floors, tolerated * predictor.tolerances))
+    return scaling(deviations_of(space.predictor, 0.25)) if space.predictor.exact else None
 
 
 def noise_model(space: Space, residual: Array, columns: Array) -> Whitening:
@@ -328,7 +320,7 @@ def noise_model(space: Space, residual: Array, columns: Array) -> Whitening:
     """
     predictor = space.predictor
     if predictor.exact:
-        return _noise_of_right_model(predictor)
+        return scaling(deviations_of(predictor))
     rows = predictor.rows
     scale = np.maximum(np.std(np.diff(residual[:, rows], axis=-1), axis=-1), 1e-300)
     r = (residual / scale[:, None])[:, rows].reshape(-1)

@@ -1,4 +1,4 @@
-"""What the steps of the search do: candidates at a model, which of them to add, and what has become superfluous.
+"""Rules of a search where a right model leaves noise alone: candidates, additions, and what has become superfluous.
 
 Every candidate's response is simulated once, at a later step only that of one which may matter there; the Gram matrix
 then says what any one or two of them would explain. The best few are fitted in full, jointly with what is there. A term
@@ -8,8 +8,8 @@ was searched) falls, and the held-out stretches agree.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
+from dataclasses import replace
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.fit import TIME_SEARCH, Fit, OnsetResponses, fit, sums, with_best_time
 from hilbench.diagnosis.noise import Whitening
+from hilbench.diagnosis.predictor import torques_of
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.residual_analysis import largest_ratio
+from hilbench.diagnosis.residual_analysis import exceeds_noise
+from hilbench.diagnosis.selection import CandidateSet
 from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.stretched_problem import StretchedProblem
 from hilbench.diagnosis.terms import Key, Place, Term
@@ -79,22 +81,6 @@ def price(terms: list[Term], samples: float) -> float:
     return parameters * float(np.log(samples)) + sum(2.0 * float(np.log(_PLACES * t.multiplicity)) for t in terms)
 
 
-@dataclass
-class CandidateSet:
-    """The candidates at a model, and their raw responses."""
-
-    whitening: Whitening
-    residual: Array  #: raw
-    own: Array  #: raw columns of the terms that are there
-    candidates: list[Term]
-    responses: list[Array]  #: raw, (1 or 2, signals, n) each
-
-    def groups(self, own: int) -> list[list[int]]:
-        """Columns of each candidate, behind so many others."""
-        edges = np.cumsum([own, *map(len, self.responses)])
-        return [list(range(low, high)) for low, high in pairwise(edges)]
-
-
 def _apart(terms: list[Term], gains: Array, least_s: float) -> list[Term]:
     """Terms of most gain, at least `least_s` apart."""
     found: list[Term] = []
@@ -120,10 +106,19 @@ def _best_while(times_s: Array, responses: Array, along: Array) -> tuple[float, 
 
 
 class Steps:
-    """Steps of the search over one space."""
+    """Rules of a search where a right model leaves noise alone; `hilbench.diagnosis.alternatives` judges its end."""
 
-    def __init__(self, space: Space, proposer: Proposer, every: int = 1) -> None:
-        self.space, self.proposer, self._every = space, proposer, every
+    #: Three that leave more than noise are none of them right, and many small ones together are a series expansion of
+    #: something else.
+    most_terms = 3
+
+    def __init__(self, space: Space, proposer: Proposer) -> None:
+        self.space, self.proposer, self._every = space, proposer, space.predictor.every
+
+    @property
+    def rows(self) -> NDArray[np.bool_]:
+        """(n,): those of the blocks."""
+        return np.asarray(self.space.split.block >= 0)
 
     @property
     def samples(self) -> float:
@@ -169,7 +164,7 @@ class Steps:
         responses = self._responses(current, plain, known)
         own = space.point(current.terms, current.residual).derivatives
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
-        whitened = self._counted(white.apply(current.residual))
+        whitened = self.masked(white.apply(current.residual))
         named = dict(zip(space.predictor.names, whitened, strict=True))
         searched = self.proposer.searched(named, current.terms, self._every)
         searched += self._changes(current, white)
@@ -201,7 +196,7 @@ class Steps:
     def _changes(self, current: Fit, white: Whitening) -> list[Term]:
         """Terms of each sudden effect at the times at which it would explain most, and gradual ones over a while."""
         times, apart_s = self.proposer.onset_times_s()
-        counted = np.flatnonzero(self.space.split.block >= 0) * self.space.period_s * self._every
+        counted = np.flatnonzero(self.rows) * self.space.period_s * self._every
         # What set in before the first row that counts has been there always.
         times = times[(times > counted[0]) & (times < counted[-1])]
         sudden = self.proposer.sudden()
@@ -216,12 +211,11 @@ class Steps:
         """Terms of each passing effect at the times at which it would explain most, near where the residual is
         large."""
         effects = self.proposer.passing()
-        if not effects or not self.space.predictor.exact:
+        if not effects:
             return []
-        times, apart_s = self.proposer.passage_times_s(whitened, self.space.split.block >= 0, self._every)
-        if not len(times):
-            return []
-        return [term for effect in effects for term in self._changes_by(effect, current, white, times, apart_s)]
+        times, apart_s = self.proposer.passage_times_s(whitened, self.rows, self._every)
+        found = (self._changes_by(effect, current, white, times, apart_s) for effect in effects if len(times))
+        return [term for terms in found for term in terms]
 
     def _changes_by(
         self,
@@ -256,8 +250,8 @@ class Steps:
     def _seen(self, current: Fit, white: Whitening, known: OnsetResponses, times_s: Array) -> tuple[Array, Array]:
         """Whitened responses (T, signals·n) of what sets in at these times, and their products (T,) with the
         residual."""
-        responses = self._observable(white, [known.at(float(time))[None] for time in times_s])
-        return responses, responses @ self._observable(white, [current.residual[None]])[0]
+        responses = np.array([self.masked(white.apply(known.at(float(time)))).ravel() for time in times_s])
+        return responses, responses @ self.masked(white.apply(current.residual)).ravel()
 
     def _gradual(
         self, effect: Effect, current: Fit, white: Whitening, known: OnsetResponses, section: Section | None
@@ -276,10 +270,6 @@ class Steps:
             times_s = np.linspace(max(begin_s - apart_s, first_s), min(end_s + apart_s, last_s), _RAMP_TIMES)
             begin_s, end_s, gain = _best_while(times_s, *self._seen(current, white, known, times_s))
         return self.proposer.gradual(effect, begin_s, end_s - begin_s, current.terms, section)
-
-    def _observable(self, white: Whitening, responses: list[Array]) -> Array:
-        """Whitened responses (1, signals, n) each, zero where rows do not count, as rows of (responses, signals·n)."""
-        return np.array([self._counted(white.apply(response)).ravel() for response in responses])
 
     def _tune(
         self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array], plain: list[Array]
@@ -325,6 +315,10 @@ class Steps:
                 found.setdefault((whole.key, whole.values[name]), replace(whole, held=frozenset()))
         return list(found.values())
 
+    def masked(self, values: Array) -> Array:
+        """Values (…, n) with zeros in the rows that do not count."""
+        return np.where(self.rows, values, 0.0)
+
     def trained(self, values: Array) -> Array:
         """Values (…, n) with zeros in the rows that fits do not see."""
         return np.where(self.space.split.train, values, 0.0)
@@ -338,23 +332,18 @@ class Steps:
 
     def is_rough(self, current: Fit) -> bool:
         """True if far more than noise is left, so that the right model was not found."""
-        space, rows = self.space, self.space.split.block >= 0
-        torques = [k for k, name in enumerate(space.predictor.names) if name.startswith("tau")]
-        rms = np.sqrt(np.mean(current.residual[torques][:, rows] ** 2, axis=1))
-        return bool(np.any(rms > _ROUGH * largest_ratio(rows) * np.array([space.predictor.floor(k) for k in torques])))
+        predictor = self.space.predictor
+        floors = {k: _ROUGH * predictor.floor(k) for k in torques_of(predictor)}
+        return exceeds_noise(current.residual, self.rows, floors)
 
     def promises(self, offered: CandidateSet) -> bool:
         """Whether anything is left that a candidate could explain, or that none can."""
         if self.ranked(offered, offered.residual, offered.own):
             return True
-        whitened = self._counted(offered.whitening.apply(offered.residual))
-        counted = float(np.count_nonzero(self.space.split.block >= 0))
+        whitened = self.masked(offered.whitening.apply(offered.residual))
+        counted = float(np.count_nonzero(self.rows))
         excess = (whitened**2).sum(1) / counted - 1.0
         return bool(np.max(excess) > _CALM * np.sqrt(2.0 / counted))
-
-    def _counted(self, values: Array) -> Array:
-        """Values (…, n) with zeros in the rows that do not count."""
-        return np.where(self.space.split.block >= 0, values, 0.0)
 
     def _linear(self, offered: CandidateSet, residual: Array, own: Array) -> StretchedProblem:
         """The linear problem of a raw residual (signals, n) in the terms' own columns (J, signals, n) and those of the
@@ -452,12 +441,13 @@ class Steps:
         """
         problem, mine = self._linear(offered, residual, own), list(range(len(own)))
         base, _ = problem.left(mine)
-        singles = []
-        for k in range(len(offered.candidates)):
-            started = self._started(offered, problem, mine, [k])
-            if started is not None:
-                left, terms = started
-                singles.append((base - left - price(terms, self.samples), k, terms))
+        members, samples = offered.members(len(mine)), self.samples
+
+        def promised_by(*chosen: int) -> list[tuple[float, list[Term]]]:
+            started = self._started(problem, mine, *(members[k] for k in chosen))
+            return [] if started is None else [(base - started[0] - price(started[1], samples), started[1])]
+
+        singles = [(score, k, terms) for k in range(len(members)) for score, terms in promised_by(k)]
         singles.sort(key=lambda item: -item[0])
         chosen: list[list[Term]] = []
         places: set[Place] = set()
@@ -472,13 +462,8 @@ class Steps:
                 promised.append(score)
                 chosen.append(terms)
         # Two effects that only together explain anything (friction against an offset) are never found one by one.
-        pairs = []
-        for a, b in combinations([k for _, k, _ in singles[:_PAIRED_FROM]], 2):
-            if offered.candidates[a].key != offered.candidates[b].key:
-                started = self._started(offered, problem, mine, [a, b])
-                if started is not None:
-                    left, terms = started
-                    pairs.append((base - left - price(terms, self.samples), terms))
+        both = combinations([k for _, k, _ in singles[:_PAIRED_FROM]], 2)
+        pairs = [found for a, b in both if members[a][0].key != members[b][0].key for found in promised_by(a, b)]
         pairs.sort(key=lambda item: -item[0])
         best = max((score for score, _, _ in singles), default=0.0)
         # Here, too, variants of two effects at their places would fill all seats.
@@ -488,37 +473,47 @@ class Steps:
                 together.setdefault(frozenset(term.place for term in terms), terms)
         return chosen + list(together.values())[:_PAIRS]
 
+    @staticmethod
     def _started(
-        self, offered: CandidateSet, problem: StretchedProblem, mine: list[int], members: list[int]
+        problem: StretchedProblem, mine: list[int], *members: tuple[Term, list[int]]
     ) -> tuple[float, list[Term]] | None:
         """What some candidates leave together, and their start values; None where a bound forbids their sign.
 
-        mine: columns of the terms that are there; members: candidates that are added, by number.
+        mine: columns of the terms that are there; members: candidates that are added, each with its columns.
         """
-        groups = offered.groups(len(mine))
-        columns = [c for k in members for c in groups[k]]
-        if any(problem.raw[c] < _LEAST_INFORMATION for c in columns):
+        columns = [column for _, group in members for column in group]
+        if any(problem.raw[column] < _LEAST_INFORMATION for column in columns):
             return None
         if len(members) > 1 and any(
-            problem.own_share(c, [*mine, *(other for other in columns if other not in groups[k])]) < _OWN_SHARE
-            for k in members
-            for c in groups[k]
+            problem.own_share(column, [*mine, *(other for other in columns if other not in group)]) < _OWN_SHARE
+            for _, group in members
+            for column in group
         ):
             return None
         _, theta = problem.left([*mine, *columns])
         at, terms = len(mine), []
-        for k in members:
-            candidate = offered.candidates[k]
+        for candidate, group in members:
             here = candidate.neutral().coordinates()
             if candidate.probe is not None:
                 # Its response was looked at with one strength, and speaks for others near it only.
                 theta[at] = np.clip(theta[at], candidate.probe / _TRUSTED, candidate.probe * _TRUSTED)
-            strength = here[: candidate.linear] + theta[at : at + candidate.linear]
-            at += candidate.linear
+            strength = here[: candidate.linear] + theta[at : at + len(group)]
+            at += len(group)
             if not candidate.allowed(float(strength[0])):
                 return None
             terms.append(candidate.at(np.concatenate([strength, here[candidate.linear :]])))
         return problem.left_with([], [*mine, *columns], theta), terms
+
+    def continued(self, best: Fit, offered: CandidateSet) -> tuple[Fit, CandidateSet, bool]:
+        """Fitted again by the noise as it is seen now; responses hardly change by a term more, and only where they
+        promise something are they simulated anew."""
+        current = self.again(best, offered.whitening) if self.space.settle(best.terms) else best
+        offered = self.carried_over(current, offered)
+        unseen = self.space.split_again(current.residual)
+        if not (unseen or self.promises(offered)):
+            return current, offered, False
+        current = self.again(current, offered.whitening)
+        return current, self.candidates(current, self.carried_over(current, offered)), True
 
     # -- earlier choices ---------------------------------------------------------------------------------
 

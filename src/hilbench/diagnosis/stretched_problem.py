@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Final
 
@@ -46,21 +47,27 @@ class StretchedProblem:
         square = self.square + 2.0 * self.cross[:, at] @ known + known @ self.gram[:, at][:, :, at] @ known
         return replace(self, cross=self.cross + self.gram[:, :, at] @ known, square=square)
 
+    @cached_property
+    def _whole(self) -> tuple[Array, Array, float]:
+        """Gram matrix (J, J), (J,) and sum of squares of all stretches."""
+        return self.gram.sum(0), self.cross.sum(0), float(self.square.sum())
+
     def left(self, chosen: list[int]) -> tuple[float, Array]:
         """Sum of squares that is left by these columns, and their coordinates."""
-        theta = self._solved(self.gram.sum(0), self.cross.sum(0), chosen)
-        return float(self.square.sum() - theta @ self.cross.sum(0)[chosen]), theta
+        gram, cross, square = self._whole
+        theta = self._solved(gram, cross, chosen)
+        return float(square - theta @ cross[chosen]), theta
 
     def left_with(self, chosen: list[int], more: list[int], known: Array) -> float:
         """Sum of squares that is left by some columns fitted and more of them with known coordinates."""
-        gram, cross = self.gram.sum(0), self.cross.sum(0)
-        square = float(self.square.sum() - 2.0 * known @ cross[more] + known @ gram[np.ix_(more, more)] @ known)
+        gram, cross, whole = self._whole
+        square = float(whole - 2.0 * known @ cross[more] + known @ gram[np.ix_(more, more)] @ known)
         beside = cross - gram[:, more] @ known
         return float(square - self._solved(gram, beside, chosen) @ beside[chosen])
 
     def left_unseen(self, chosen: list[int]) -> float:
         """Residual sum of squares, each stretch predicted from the others."""
-        gram, cross, total = self.gram.sum(0), self.cross.sum(0), 0.0
+        (gram, cross, _), total = self._whole, 0.0
         for g, c, s in zip(self.gram, self.cross, self.square, strict=True):
             theta = self._solved(gram - g, cross - c, chosen)
             total += float(s - 2.0 * theta @ c[chosen] + theta @ g[np.ix_(chosen, chosen)] @ theta)
@@ -81,7 +88,7 @@ class StretchedProblem:
     def gain_unseen_in_phase(self, mine: list[int], group: list[int]) -> float:
         """Gain of a wave's two columns with the amplitude of the other stretches and a phase of its own: where
         phase is a state of the machine only the amplitude can be predicted."""
-        gram, cross, gain = self.gram.sum(0), self.cross.sum(0), 0.0
+        (gram, cross, _), gain = self._whole, 0.0
         for g, c in zip(self.gram, self.cross, strict=True):
             others = self._solved(gram - g, cross - c, [*mine, *group])
             amplitude = float(np.linalg.norm(others[len(mine) :]))
@@ -93,8 +100,7 @@ class StretchedProblem:
 
     def own_share(self, column: int, beside: list[int]) -> float:
         """Share of a column's square that these others leave of it."""
-        gram = self.gram.sum(0)
-        whole = float(self.raw[column])
+        gram, whole = self._whole[0], float(self.raw[column])
         if whole <= 0.0:
             return 0.0
         explained = self._solved(gram, gram[column], beside) @ gram[column][beside]
@@ -117,7 +123,7 @@ def basis(columns: Array) -> Array:
 def spanning(columns: Array, rows: NDArray[np.bool_]) -> Array:
     """Combinations of columns (J, n) that are orthonormal, and span the same, on some of the rows (n,)."""
     scaled = columns / np.maximum(np.linalg.norm(columns[:, rows], axis=1), 1e-300)[:, None]
-    of, sizes, _ = np.linalg.svd(scaled[:, rows], full_matrices=False)
+    of, sizes, _ = np.linalg.svd(np.asarray(np.linalg.qr(scaled[:, rows].T, mode="r")).T, full_matrices=False)
     kept = sizes > 1e-6 * sizes[0]
     return np.asarray((of[:, kept] / sizes[kept]).T @ scaled)
 

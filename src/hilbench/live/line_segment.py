@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.measured import Before, Measured, measured_from
-from hilbench.diagnosis.predictor import choice
+from hilbench.diagnosis.predictor import choice, deviations_of
 from hilbench.diagnosis.web_line.free_run import remembered_m
 from hilbench.errors import UnusableInputError
 from hilbench.live.line_gap import exchanged_m
@@ -104,8 +104,8 @@ def _pushed(data: Measured, model: ModelParameters, emulation: Emulation | None,
     residual = predictor.measured[away] - predictor.predict(lay.pack(model)[None])[0, away]
     bend = np.abs(residual[:, 2 * _PUSH :] - 2.0 * residual[:, _PUSH:-_PUSH] + residual[:, : -2 * _PUSH])
     late = np.convolve(~measured, np.ones(_PUSH_AFTER), "full")[: residual.shape[1]] > 0.5
-    usual = np.array([np.hypot(predictor.tolerances[place], predictor.floor(place)) for place in away])
-    odd = np.flatnonzero(np.any(bend > _PUSHED * usual[:, None], axis=0) & late[_PUSH:-_PUSH])
+    usual = deviations_of(predictor)[away, None]
+    odd = np.flatnonzero(np.any(bend > _PUSHED * usual, axis=0) & late[_PUSH:-_PUSH])
     if not len(odd):
         return ()
     begins = np.concatenate([[True], np.diff(odd) > _PUSH_AFTER])

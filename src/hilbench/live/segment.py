@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.measured import Measured
-from hilbench.diagnosis.predictor import Predictor, choice
+from hilbench.diagnosis.noise import rms
+from hilbench.diagnosis.predictor import Predictor, choice, deviations_of, torques_of
 from hilbench.live.machine import LiveMachine
 from hilbench.live.window import Window
 from hilbench.plant.model_file import Machine
@@ -34,27 +35,17 @@ class Segment:
         data = machine.data_of(window, model, first, end, begun)
         return cls(data, choice(model, data, machine.emulation).predictor)
 
-    @property
-    def deviations(self) -> Array:
-        """(signals,): what a right model is off by."""
-        predictor = self.predictor
-        floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
-        return np.asarray(np.hypot(floors, predictor.tolerances))
-
     def residual(self, parameters: Array) -> Array:
         """(signals, n): measured less predicted."""
         return np.asarray(self.predictor.measured - self.predictor.predict(parameters[None])[0])
 
     def misfit(self, residual: Array) -> float:
         """Sum of squares of a residual in units of what a right model leaves, on the rows that count."""
-        return float(np.sum((residual / self.deviations[:, None])[:, self.predictor.rows] ** 2))
+        return float(np.sum((residual / deviations_of(self.predictor)[:, None])[:, self.predictor.rows] ** 2))
 
 
 def shows_in_torque(segment: Segment, before: Array, after: Array) -> bool:
     """True if a change of the model reduces the gap of a torque: of residuals (signals, n) before and after it."""
     rows, predictor = segment.predictor.rows, segment.predictor
-    torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
-    less_Nm = np.sqrt(np.mean(before[torques][:, rows] ** 2, axis=1)) - np.sqrt(
-        np.mean(after[torques][:, rows] ** 2, axis=1)
-    )
-    return bool(np.any(less_Nm > _SHOWS * np.array([predictor.floor(k) for k in torques])))
+    less_Nm = {k: rms(before[k, rows]) - rms(after[k, rows]) for k in torques_of(predictor)}
+    return any(less > _SHOWS * predictor.floor(k) for k, less in less_Nm.items())

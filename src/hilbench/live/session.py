@@ -30,7 +30,8 @@ from hilbench.bench.reports.diagnosis_updates import (
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnosed
 from hilbench.diagnosis.noise import floor, rms
-from hilbench.diagnosis.residual_analysis import largest_ratio, misfits, ratios
+from hilbench.diagnosis.predictor import deviations_of, torques_of
+from hilbench.diagnosis.residual_analysis import exceeds_noise, in_floors, misfits
 from hilbench.errors import UnusableInputError
 from hilbench.live import models
 from hilbench.live.machine import SHORT, LiveMachine
@@ -251,13 +252,11 @@ class Session:
     def _is_noise(self, segment: Segment, model: Machine) -> bool:
         """True if a model leaves nothing but noise of the torques."""
         predictor, (residual, _) = segment.predictor, self._fitted(segment, model)
-        torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
-        floors = {k: predictor.floor(k) for k in torques}
-        if max(ratios(residual, predictor.rows, floors).values()) > largest_ratio(predictor.rows):
+        floors = {k: predictor.floor(k) for k in torques_of(predictor)}
+        if exceeds_noise(residual, predictor.rows, floors):
             return False
-        scaled = residual[torques] / np.array([floors[k] for k in torques])[:, None]
-        names = tuple(predictor.names[k] for k in torques)
-        found = misfits(names, scaled, predictor.rows, predictor.conditions(self._machine.packed(model)))
+        conditions = predictor.conditions(self._machine.packed(model))
+        found = misfits(*in_floors(predictor.names, residual, floors), predictor.rows, conditions)
         return not any(each.significant for each in found)
 
     def _judge(self, found: Diagnosis, case: _Case, end: int) -> None:
@@ -320,7 +319,7 @@ class Session:
         as it is not far from what was known before model and measurement parted."""
         count = len(self._estimate)
         changes = np.vstack([np.zeros(count), _STEP * np.eye(count)])
-        rows, scale = segment.predictor.rows, segment.deviations[:, None]
+        rows, scale = segment.predictor.rows, deviations_of(segment.predictor)[:, None]
         here, *there = ((segment.residual(self._changed(model, change)) / scale)[:, rows].ravel() for change in changes)
         slopes = (np.array(there) - here) / _STEP
         best = -np.linalg.solve(slopes @ slopes.T + np.eye(count) / _SURE**2, slopes @ here)

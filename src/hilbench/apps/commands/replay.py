@@ -114,8 +114,8 @@ def _of_a_web(
     config: ExperimentConfig, config_path: Path, recording: Recording, place: Path, method: str | None
 ) -> _Found:
     from hilbench.apps.cli.model_option import machine_of
-    from hilbench.diagnosis.synchronization import measurements_of, methods_of, require_one_span
     from hilbench.estimation.web_line.offline import run_offline
+    from hilbench.results.synchronization import measurements_of, methods_of, require_one_span
 
     model = machine_of(config, config_path)
     require_one_span(model, config_path)

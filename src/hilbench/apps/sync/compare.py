@@ -16,7 +16,12 @@ from hilbench.apps.cli.options import print_json
 from hilbench.apps.cli.tables import table
 from hilbench.apps.sweep.sweep import Row, Sweep
 from hilbench.apps.sync.page import COLUMNS, ESTIMATES, rows, write_comparison
-from hilbench.diagnosis.synchronization import (
+from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError, UnusableInputError
+from hilbench.estimation.web_line.offline import remarks
+from hilbench.files import make_folder
+from hilbench.results.recording import Recording, check_recording, read_recording, read_section
+from hilbench.results.run_folder import RunFolder
+from hilbench.results.synchronization import (
     SETTLED_AFTER_S,
     Comparison,
     compare_methods,
@@ -25,11 +30,6 @@ from hilbench.diagnosis.synchronization import (
     methods_of,
     require_one_span,
 )
-from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError, UnusableInputError
-from hilbench.estimation.web_line.offline import remarks
-from hilbench.files import make_folder
-from hilbench.results.recording import Recording, check_recording, read_recording, read_section
-from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load
 
 #: The published method transfers no state; a quicker tension loop would only follow its errors.

@@ -22,7 +22,7 @@ from hilbench.plant.servo_axis.effects import KIND, find
 from hilbench.plant.servo_axis.emulation import FILTER_CYCLES, load_torque_Nm, most_rad_s2, steepest_Nm_s_per_rad
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.stability import sampled_shaft
-from hilbench.plant.servo_axis.tracking_filter import ORDER, gains, transition
+from hilbench.plant.servo_axis.tracking_filter import ORDER, follow, gains, later, transition
 from hilbench.plant.web_line import kernel, laws
 from hilbench.plant.web_line import layout as line
 from hilbench.plant.web_line.layout import Layout, Vector
@@ -74,7 +74,7 @@ def _simulate_rows(
     most: float,
     out: Vector,
 ) -> None:
-    motion, predicted = np.empty(ORDER), np.empty(ORDER)
+    motion = np.empty(ORDER)
     observed = np.empty(4 * _MOTORS)
     for b in range(p.shape[0]):
         state = s[b]
@@ -91,14 +91,14 @@ def _simulate_rows(
                 fed = laws.fed_forward_N(emulated[b], lay.AXIS, lay.MOTOR, inertia, observed[_SPEED], a, direction)
             out[b, row, 0], out[b, row, 1], out[b, row, 2] = observed[0], observed[_SPEED], observed[_TORQUE] - fed
             if row > 0:
-                predicted[:] = step @ motion
-                motion[:] = predicted + gain * (observed[0] - predicted[0])
-            predicted[:] = ahead @ motion
-            acceleration = min(max(predicted[2], -most), most)
-            speed = observed[_SPEED] + lead_s * (acceleration - 0.5 * lead_s * predicted[3])
+                follow(motion, step, gain, observed[0])
+            acceleration = min(max(later(motion, ahead, 2), -most), most)
+            speed = observed[_SPEED] + lead_s * (acceleration - 0.5 * lead_s * later(motion, ahead, 3))
             u[lay.U_SETPOINT], u[lay.U_LOAD_SETPOINT] = commands[row], torque
             # The torque for the measurement at this SYNC is sent with the next.
-            torque = load_torque_Nm(emulated[b], believed, time_s, predicted[0], speed, acceleration, steepest)
+            torque = load_torque_Nm(
+                emulated[b], believed, time_s, later(motion, ahead, 0), speed, acceleration, steepest
+            )
             kernel.go_on(p[b], state, u, w, samples)
 
 
@@ -164,9 +164,9 @@ def _rigs(believed: Vector, many: Vector) -> Vector:
 
 def _emulated(many: Vector) -> Vector:
     """Parameters (B, P) of the emulated shafts, without effects on the rig; inertia steps and feed-forward stay."""
-    shafts = many.copy()
-    for shaft in shafts:
-        line.clear_effects(shaft, KIND)
+    shafts, neutral = many.copy(), many[0].copy()
+    line.clear_effects(neutral, KIND)
+    shafts[:, lay.P_EFFECTS] = neutral[lay.P_EFFECTS]
     for of_model in (_STEPS, _FED_FORWARD):
         shafts[:, of_model] = many[:, of_model]
     return shafts

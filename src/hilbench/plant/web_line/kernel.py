@@ -219,9 +219,12 @@ def _advance_one_span(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) 
 
 
 @compiled
-def _advance_rig_of_two(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+def _advance_rig(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
     noinline()
-    advance_line(p, s, u, w, 2, 3, 0, samples, True)
+    if places.has_counts(p, 1, 2, 0):
+        advance_line(p, s, u, w, 1, 2, 0, samples, True)
+    else:
+        advance_line(p, s, u, w, 2, 3, 0, samples, True)
 
 
 @compiled
@@ -233,11 +236,11 @@ def _advance_any(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> No
 
 @merged
 def go_on(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
-    """Advance by `samples` drive samples, between `enter` and `leave`; counts are constants for one span."""
+    """Advance by `samples` drive samples, between `enter` and `leave`; counts are constants for one span and rigs."""
     if places.has_counts(p, 2, 2, 1):
         _advance_one_span(p, s, u, w, samples)
-    elif places.has_counts(p, 2, 3, 0):
-        _advance_rig_of_two(p, s, u, w, samples)
+    elif places.has_counts(p, 1, 2, 0) or places.has_counts(p, 2, 3, 0):
+        _advance_rig(p, s, u, w, samples)
     else:
         _advance_any(p, s, u, w, samples)
 

@@ -1,18 +1,12 @@
-"""Which terms the data ask for where a right model leaves noise alone.
+"""Test of what a search has found against its alternatives, where a right model leaves noise alone.
 
-Stepwise, earlier choices tested again, judged on stretches that no fit has seen.
-
-Terms are added while that pays (`steps`). Then each must show that the model is worse without it, and that no other
-explains the same as well (`Alternatives`): equal ones are tied with it; one that explains more replaces it, and
-everything is tested again.
-
-How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis_method.md.
+Each term must show that the model is worse without it, and that no other explains the same as well: equal ones are tied
+with it; one that explains more replaces it, and everything is tested again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -20,13 +14,12 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit, around, fit, sums
 from hilbench.diagnosis.noise import Whitening
-from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.space import Space, finest
-from hilbench.diagnosis.steps import MARGIN, TIED, CandidateSet, Steps, price
+from hilbench.diagnosis.selection import Better, CandidateSet, Selection
+from hilbench.diagnosis.space import finest
+from hilbench.diagnosis.steps import MARGIN, TIED, Steps, price
 from hilbench.diagnosis.terms import RANK, Key, Place, Term, parts
 
 Array = NDArray[np.float64]
-Announce = Callable[[str, float], None]
 
 #: How many are fitted in the place of a term.
 _ALTERNATIVES: Final = 7
@@ -43,19 +36,17 @@ _FORCE_SHARE: Final = 0.05
 _FORCE_SEARCH: Final = (0.02, 0.002)
 
 
-@dataclass(frozen=True)
-class Better:
-    """An explanation outside the vocabulary that is better than a term."""
+class FreeRules(Steps):
+    """Rules of a search where a right model leaves noise alone, with the test of what it has found."""
 
-    name: str
-    detail: str  #: size and time, for a person
-
-
-class Alternatives:
-    """Test of each term against its alternatives."""
-
-    def __init__(self, steps: Steps) -> None:
-        self._steps, self._space, self._proposer, self._samples = steps, steps.space, steps.proposer, steps.samples
+    def judged(self, current: Fit, offered: CandidateSet) -> Selection:
+        """Each term against its alternatives."""
+        # What is not explained would be spread over the alternatives of every term: they would all seem tied.
+        if self.is_rough(current):
+            return Selection(current, offered, self.samples)
+        current, tied, evidence = self.tested(current, offered)
+        better = self._against_forces(current, offered, tied)
+        return Selection(current, offered, self.samples, tied, evidence, better=better)
 
     def tested(
         self, current: Fit, offered: CandidateSet
@@ -67,61 +58,60 @@ class Alternatives:
         """
         tied: dict[Key, list[Place]] = {}
         evidence: dict[Key, dict[str, float]] = {}
-        fine = finest(self._space) or offered.whitening
-        close = fit(self._space, fine, current.terms)
+        fine = finest(self.space) or offered.whitening
+        close = fit(self.space, fine, current.terms)
         for k in range(len(current.terms)):
             term = current.terms[k]
             rest = current.terms[:k] + current.terms[k + 1 :]
-            here = current.train + price(current.terms, self._samples)
-            without = fit(self._space, offered.whitening, rest)
+            here = current.train + price(current.terms, self.samples)
+            without = fit(self.space, offered.whitening, rest)
             evidence[term.key] = {
                 "likelihood_ratio": without.train - current.train,
-                "criterion_gain": without.train + price(rest, self._samples) - here,
+                "criterion_gain": without.train + price(rest, self.samples) - here,
                 "held_out_gain": without.test - current.test,
             }
             if evidence[term.key]["criterion_gain"] <= 0.0:
-                offered = self._steps.candidates(without)
-                current = self._steps.again(without, offered.whitening)
+                offered = self.candidates(without)
+                current = self.again(without, offered.whitening)
                 # a gradual change may have become a sudden one there, which has fewer coordinates
-                own = self._space.point(current.terms, current.residual).derivatives
+                own = self.space.point(current.terms, current.residual).derivatives
                 return self.tested(current, replace(offered, own=own))
             # The others as they are: fitted without the term they may have run far off.
-            left = self._space.residual(rest)
+            left = self.space.residual(rest)
             own = np.delete(offered.own, parts(current.terms)[k], axis=0)
-            others = self._steps.ranked(offered, left, own, _ALTERNATIVES)
+            others = self.ranked(offered, left, own, _ALTERNATIVES)
             tied[term.key] = []
             # What was proposed beside a gradual change says nothing of a sudden one in its middle. A wave that was
             # searched for among all orders has its price; once a turn is no more far-fetched than the term.
-            sudden = [[other] for other in self._proposer.at_once(term, rest)]
-            round_as_well = [[other] for other in self._proposer.once_a_turn(term)]
+            sudden = [[other] for other in self.proposer.at_once(term, rest)]
+            round_as_well = [[other] for other in self.proposer.once_a_turn(term)]
             for terms in sudden + round_as_well + others:
                 if len(terms) > 1 or terms[0].place == term.place:
                     continue
-                cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)
+                cost = price([*rest, *terms], self.samples) - price(current.terms, self.samples)
                 alike = None if terms in sudden else self._acting_alike(fine, current, k, terms[0], left)
                 # With finer tolerances than the search, and on all rows: between good explanations small things decide.
-                found = fit(self._space, fine, [*rest, alike or terms[0]], worth=close.train + MARGIN - cost)
+                found = fit(self.space, fine, [*rest, alike or terms[0]], worth=close.train + MARGIN - cost)
                 difference = found.train + found.test + cost - close.train - close.test
                 if alike is not None and difference > TIED:
-                    found = fit(self._space, fine, self._with_closest_strength(fine, close.terms, k, alike))
+                    found = fit(self.space, fine, self._with_closest_strength(fine, close.terms, k, alike))
                     # On a rough ground another point that is a little lower is no better explanation.
                     difference = max(found.train + found.test + cost - close.train - close.test, -TIED)
                 simpler = abs(difference) <= TIED and RANK[terms[0].effect.id] < RANK[term.effect.id]
                 better = difference < -TIED or simpler
                 # With an equally good explanation another term may be superfluous: two effects replace three.
                 if better or (
-                    abs(difference) < TIED
-                    and len(self._steps.pruned(found, offered.whitening).terms) < len(found.terms)
+                    abs(difference) < TIED and len(self.pruned(found, offered.whitening).terms) < len(found.terms)
                 ):
                     in_place = [*found.terms[:k], found.terms[-1], *found.terms[k:-1]]
-                    current = self._steps.pruned(fit(self._space, offered.whitening, in_place), offered.whitening)
-                    offered = self._steps.candidates(current)
-                    return self.tested(fit(self._space, offered.whitening, current.terms), offered)
+                    current = self.pruned(fit(self.space, offered.whitening, in_place), offered.whitening)
+                    offered = self.candidates(current)
+                    return self.tested(fit(self.space, offered.whitening, current.terms), offered)
                 if abs(difference) < TIED or difference < 0.0:
                     tied[term.key].append(terms[0].place)
         return current, tied, evidence
 
-    def against_forces(self, current: Fit, offered: CandidateSet, tied: dict[Key, list[Place]]) -> Better | None:
+    def _against_forces(self, current: Fit, offered: CandidateSet, tied: dict[Key, list[Place]]) -> Better | None:
         """Each sudden term against the step of a force that it may be mistaken for; that where it explains more.
 
         `tied`: gets the force where the two explain as much.
@@ -130,7 +120,7 @@ class Alternatives:
             lookalike = term.effect.lookalike
             if term.duration_s > 2.0 * _FORCE_SEARCH[0]:
                 continue  # no sudden force, nor anything like one
-            if lookalike is None or term.section not in (None, self._space.model.span_count):
+            if lookalike is None or term.section not in (None, self.space.model.span_count):
                 continue  # a force at the last roller acts behind the last span
             difference, force_N, time_s = self._as_a_force(current, k, offered.whitening)
             if difference < -_DECISIVE:
@@ -145,12 +135,12 @@ class Alternatives:
 
         The force is looked for near the time of the term, with the other terms free to adapt to it.
         """
-        space, rows = self._space, self._space.split.block >= 0
+        space, rows = self.space, self.space.split.block >= 0
         term, rest = current.terms[k], [*current.terms[:k], *current.terms[k + 1 :]]
         point = space.point(rest)
         own = [white.apply(column)[:, rows].ravel() for column in point.derivatives]
         residual = white.apply(point.residual)[:, rows].ravel()
-        probe_N = _FORCE_SHARE * self._proposer.sizes(None).force_N
+        probe_N = _FORCE_SHARE * self.proposer.sizes(None).force_N
         best = (float("inf"), 0.0, 0.0)
         for time_s in around(term.time_s + 0.5 * term.duration_s, *_FORCE_SEARCH):
             pushed = space.residual_with_force(rest, probe_N, float(time_s))
@@ -171,8 +161,8 @@ class Alternatives:
         term = current.terms[k]
         if len(term.coordinates()) > 1 or len(other.coordinates()) > 1:
             return None
-        without = self._space.residual([*current.terms[:k], *current.terms[k + 1 :], other])
-        acts = self._steps.trained(white.apply(left - np.stack([current.residual, without])))
+        without = self.space.residual([*current.terms[:k], *current.terms[k + 1 :], other])
+        acts = self.trained(white.apply(left - np.stack([current.residual, without])))
         (own, across), (_, its) = np.tensordot(acts, acts, ((1, 2), (1, 2)))
         if not across**2 > _ACTS_ALIKE * own * its:
             return None
@@ -190,66 +180,9 @@ class Alternatives:
         half = _CLOSEST_SHARE * abs(strength)
         for _ in range(_CLOSEST_LEVELS):
             tried = [other.at(np.array([at])) for at in strength + half * np.linspace(-1.0, 1.0, _CLOSEST_STEPS)]
-            residuals = self._space.residuals([[*rest, one] for one in tried])
-            best = int(np.argmin([sum(sums(self._space, white, residual)) for residual in residuals]))
+            residuals = self.space.residuals([[*rest, one] for one in tried])
+            best = int(np.argmin([sum(sums(self.space, white, residual)) for residual in residuals]))
             other = tried[best]
             (strength,) = other.coordinates()
             half *= 2.0 / (_CLOSEST_STEPS - 1)
         return [*rest, other]
-
-
-#: Most effects that are named: three that leave more than noise are none of them right, and many small ones together
-#: are a series expansion of something else.
-_MOST_TERMS: Final = 3
-
-
-@dataclass
-class Selection:
-    """The chosen terms, fitted; with which others each is tied; the candidates that were there at the end."""
-
-    fit: Fit
-    candidates: CandidateSet
-    samples: float
-    tied: dict[Key, list[Place]] = field(default_factory=dict)
-    evidence: dict[Key, dict[str, float]] = field(default_factory=dict)
-    exhausted: bool = False  #: more terms would explain more than may be named
-    better: Better | None = None
-    untold: list[Term] = field(default_factory=list)  #: candidates that the motion can't tell from others
-    of_too_few: list[Term] = field(default_factory=list)  #: that explain, by too few frequencies to be named
-
-
-def search(space: Space, proposer: Proposer, announce: Announce, every: int = 1) -> Selection:
-    """Add terms while that pays, then test again what is there.
-
-    It ends early where nothing is left that a candidate promises to explain, and nothing that none can.
-    """
-    steps = Steps(space, proposer, every)
-    current = steps.fit_of([])
-    offered = steps.candidates(current)
-    for depth in range(_MOST_TERMS):
-        announce(f"step {depth + 1}: {len(offered.candidates)} candidates", 0.1 + 0.7 * depth / _MOST_TERMS)
-        best = steps.best_addition(current, offered)
-        if best is None:
-            break
-        # An early term may have stood for two others that came later: it goes before the next is looked for.
-        pruned = steps.pruned(best, offered.whitening)
-        if len(pruned.terms) > _MOST_TERMS:
-            return Selection(current, offered, steps.samples, exhausted=True)
-        current = pruned
-        if steps.space.settle(current.terms):
-            current = steps.again(current, offered.whitening)
-        # Responses hardly change by a term more. Only where they promise something are they simulated anew.
-        offered = steps.carried_over(current, offered)
-        unseen = steps.space.split_again(current.residual)
-        if not (unseen or steps.promises(offered)):
-            break
-        current = steps.again(current, offered.whitening)
-        offered = steps.candidates(current, steps.carried_over(current, offered))
-    # What is not explained would be spread over the alternatives of every term: they would all seem tied.
-    if steps.is_rough(current):
-        return Selection(current, offered, steps.samples)
-    announce("what else could explain it", 0.85)
-    alternatives = Alternatives(steps)
-    current, tied, evidence = alternatives.tested(current, offered)
-    better = alternatives.against_forces(current, offered, tied)
-    return Selection(current, offered, steps.samples, tied, evidence, better=better)
