@@ -103,6 +103,10 @@ if TYPE_CHECKING:
         (25 ms). The array is to be kept."""
         raise NotImplementedError
 
+    def record_in(vector: NDArray[np.float64], at: int, kind: np.dtype[Any]) -> Any:
+        """Record in a vector, from offset `at` on, in the body of a compiled function. The vector is to be kept."""
+        raise NotImplementedError
+
     def call_at(function: int, argument: int, table: int, rows: int) -> int:
         """Call another entry point by its `address_of`, in the body of one, with an argument and the address of a
         `table_of` so many rows. Only for functions of (COUNT, TABLE) that return an int64."""
@@ -256,6 +260,16 @@ else:
             return found._getvalue()
 
         return result(array, kind), generate
+
+    @intrinsic
+    def record_in(typing_context, vector, at, kind):
+        def generate(context, builder, signature, arguments):
+            from numba.np.arrayobj import make_array
+
+            data = make_array(vector)(context, builder, arguments[0]).data
+            return builder.bitcast(builder.gep(data, [arguments[1]]), context.get_value_type(kind.dtype))
+
+        return kind.dtype(vector, types.intp, kind), generate
 
     @intrinsic
     def call_at(typing_context, function, argument, table, rows):

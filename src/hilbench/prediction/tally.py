@@ -66,7 +66,7 @@ class Tally:
 
     @property
     def table(self) -> NDArray[np.int64]:
-        """Addresses of its vectors, for `judging.of_table`."""
+        """Table of its vectors."""
         return table_of(self.vectors)
 
     def outlook(self, now_s: float) -> Outlook:

@@ -33,8 +33,9 @@ from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.shaft import look
-from hilbench.plant.servo_axis.tracking_filter import ORDER, TrackingFilter, follow, gains, later, transition
-from hilbench.plant.web_line import laws
+from hilbench.plant.servo_axis.tracking_filter import ORDER, TrackingFilter, gains, transition
+from hilbench.plant.web_line import laws, records
+from hilbench.plant.web_line.shaft_load import follow, later
 
 #: Encoder noise assumed until it is measured, and its least value.
 _POSITION_NOISE_RAD, _POSITION_FLOOR_RAD = 3e-6, 1e-7
@@ -123,10 +124,11 @@ class InputArrays(NamedTuple):
 @compiled
 def _known_torque_Nm(p: Array, measured_Nm: float, x: float, v: float) -> float:
     """Torque on the shaft by the model: from the reported one, without offset, friction and unbalance."""
-    motor = laws.shaft_torque_Nm(p, lay.MOTOR, laws.true_torque_Nm(p, lay.MOTOR, measured_Nm), x)
-    direction = measured_direction(v, _STANDSTILL_RAD_S)
-    resistance = laws.measured_resistance_N(p, lay.AXIS, x, v, direction)
-    return float(laws.passed_on_N(p, lay.AXIS, motor, direction) - resistance)
+    line, direction = records.of_parameters(p), measured_direction(v, _STANDSTILL_RAD_S)
+    axis, motor = records.axis(line, 0), records.motor(line, 0)
+    torque_Nm = laws.shaft_torque_Nm(motor, laws.true_torque_Nm(motor, measured_Nm), x)
+    resistance = laws.measured_resistance_N(axis, x, v, direction)
+    return float(laws.passed_on_N(axis, torque_Nm, direction) - resistance)
 
 
 @compiled

@@ -12,8 +12,9 @@ from math import exp, factorial
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point
+from hilbench.compiled import MATRIX, REAL, VECTOR, entry_point, interpreted
 from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.shaft_load import follow, later
 
 Matrix = NDArray[np.float64]
 
@@ -21,33 +22,12 @@ Matrix = NDArray[np.float64]
 ORDER = 4
 
 
-@compiled
-def later(motion: Vector, forward: Matrix, place: int) -> float:
-    """Component `place` of the motion after the time of the `transition` `forward` (4, 4)."""
-    # Two parallel sums, as in a vector unit.
-    even = forward[place, 0] * motion[0] + forward[place, 2] * motion[2]
-    return float(even + (forward[place, 1] * motion[1] + forward[place, 3] * motion[3]))
-
-
-@compiled
-def follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
-    """Compiled `TrackingFilter.update`; `forward` (4, 4), `gain` (4,): `transition` and `gains` of the elapsed time."""
-    x, v = later(motion, forward, 0), later(motion, forward, 1)
-    a, j = later(motion, forward, 2), later(motion, forward, 3)
-    off_rad = position_rad - x
-    motion[0], motion[1] = x + gain[0] * off_rad, v + gain[1] * off_rad
-    motion[2], motion[3] = a + gain[2] * off_rad, j + gain[3] * off_rad
-
-
-@entry_point(VECTOR, MATRIX, VECTOR)
-def _put_later(motion: Vector, forward: Matrix, out: Vector) -> None:
-    for place in range(ORDER):
-        out[place] = later(motion, forward, place)
-
-
 @entry_point(VECTOR, MATRIX, VECTOR, REAL)
 def _follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
     follow(motion, forward, gain, position_rad)
+
+
+_later = interpreted(later)
 
 
 @lru_cache(64)
@@ -93,6 +73,5 @@ class TrackingFilter:
 
     def predicted(self, lead_s: float) -> Vector:
         """Motion (4,) predicted `lead_s` ahead, with constant jerk."""
-        motion = np.zeros(ORDER)
-        _put_later(self.motion, transition(lead_s), motion)
-        return motion
+        forward = transition(lead_s)
+        return np.array([_later(self.motion, forward, place) for place in range(ORDER)])

@@ -6,7 +6,10 @@ from collections.abc import Sequence
 
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.layout import DRIVE, Layout, Vector, column
+
+#: By scalar access, in every cycle.
+_REFERENCE, _LIMITED = column(DRIVE, "reference"), column(DRIVE, "limited")
 
 
 def read_ports(
@@ -19,8 +22,8 @@ def read_ports(
     for motor, port in zip(motors, ports, strict=False):
         at = lay.U_MOTORS + motor * lay.UM_SIZE
         inputs[at : at + lay.UM_SIZE] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
-    first = _first_motor_state(layout) + lay.SM_LIMITED
-    state[first : first + layout.motors * lay.SM_SIZE : lay.SM_SIZE] = 0.0
+    first = layout.first_drive + _LIMITED
+    state[first : first + layout.motors * lay.DRIVE_SIZE : lay.DRIVE_SIZE] = 0.0
 
 
 def write_ports(
@@ -28,16 +31,11 @@ def write_ports(
 ) -> None:
     """Feedback from the columns of `kernel.observe` to the ports, exact (without sensors); `motors` as `read_ports`."""
     count, values = layout.motors, out.tolist()
-    first_row, first_state = lay.W_SIZE + layout.axes * lay.A_SIZE, _first_motor_state(layout)
+    first_drive, first_motor = layout.first_drive, layout.first_motor
     for j, port in zip(motors, ports, strict=False):
-        row, motor_state = first_row + j * lay.M_SIZE, first_state + j * lay.SM_SIZE
-        rad_per_m = p.item(row + lay.M_RAD_PER_M)
+        drive, rad_per_m = first_drive + j * lay.DRIVE_SIZE, p.item(first_motor + j * lay.M_SIZE)
         port.position_rad = values[j] * rad_per_m
         port.velocity_rad_s = values[count + j] * rad_per_m
         port.torque_Nm = values[2 * count + j]
-        port.reference = state.item(motor_state + lay.SM_REFERENCE)
-        port.torque_limited = state.item(motor_state + lay.SM_LIMITED) != 0.0
-
-
-def _first_motor_state(layout: Layout) -> int:
-    return lay.S_Y + layout.y_size + layout.axes * lay.SA_SIZE
+        port.reference = state.item(drive + _REFERENCE)
+        port.torque_limited = state.item(drive + _LIMITED) != 0.0

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hilbench.compiled import COUNT, INDICES, TABLE, VECTOR, compiled, entry_point, floats, integers
 from hilbench.cycle_program import CONTINUE
 from hilbench.plant.sensor_rows import take_row
-from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import records
 from hilbench.plant.web_line.kernel import advance, observe
 from hilbench.plant.web_line.layout import Vector
 
@@ -27,20 +27,18 @@ def show(
     p: Vector, s: Vector, out: Vector, motors: NDArray[np.int64], sensors: Vector, noise: Vector, shown: Vector
 ) -> None:
     """Write the motors' feedback from the observed values into `shown`; arguments as of `step`."""
-    axes, count, spans = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
-    rows = lay.W_SIZE + axes * lay.A_SIZE
-    states = lay.S_Y + 4 * axes + 2 * spans + axes * lay.SA_SIZE
+    line = records.line_of(p, s, s, s)
     for k in range(len(motors)):
-        j, at, of = motors[k], k * SHOWN, k * SENSOR
-        rad_per_m, state = p[rows + j * lay.M_SIZE + lay.M_RAD_PER_M], states + j * lay.SM_SIZE
+        j, at, of, count = motors[k], k * SHOWN, k * SENSOR, line.m
+        rad_per_m, drive = records.motor(line, j).rad_per_m, records.drive(line, j)
         position = out[j] * rad_per_m + sensors[of] * noise[3 * k]
         counts = sensors[of + 3]
         # A count is a whole number, which has no -0.0.
         shown[at] = (np.rint(position / counts) + 0.0) * counts if counts > 0.0 else position
         shown[at + 1] = out[count + j] * rad_per_m + sensors[of + 1] * noise[3 * k + 1]
         shown[at + 2] = out[2 * count + j] + sensors[of + 2] * noise[3 * k + 2]
-        shown[at + 3] = s[state + lay.SM_REFERENCE]
-        shown[at + 4] = s[state + lay.SM_LIMITED] != 0.0
+        shown[at + 3] = drive.reference
+        shown[at + 4] = drive.limited != 0.0
 
 
 #: step(parameters, state, inputs, work, out, motors (M,), set points (M,), samples, sensors (M · SENSOR,), normal
@@ -59,14 +57,13 @@ def step(
     noise: Vector,
     shown: Vector,
 ) -> None:
-    axes, count, spans = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
-    states = lay.S_Y + 4 * axes + 2 * spans + axes * lay.SA_SIZE
+    line = records.line_of(p, s, u, work)
     for k in range(len(motors)):
-        u[lay.U_MOTORS + motors[k] * lay.UM_SIZE + lay.UM_SETPOINT] = set_points[k]
-    for j in range(count):
-        s[states + j * lay.SM_SIZE + lay.SM_LIMITED] = 0.0
+        records.given(line, motors[k]).setpoint = set_points[k]
+    for j in range(line.m):
+        records.drive(line, j).limited = 0.0
     advance(p, s, u, work, samples)
-    observe(p, s, u, work, out)
+    observe(p, s, u, work, out, False)
     show(p, s, out, motors, sensors, noise, shown)
 
 

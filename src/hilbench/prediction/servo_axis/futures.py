@@ -102,7 +102,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         self._steepest = steepest_Nm_s_per_rad(self._real, emulation_delay_s(sampled_shaft(real, cycle_s)))
         self._layout = Layout.of(self._p)
         self._inputs = self._layout.new_inputs()
-        self._layout.motor_inputs(self._inputs)[:, line.UM_MODE] = MotorMode.VELOCITY
+        self._layout.motor_inputs(self._inputs).mode = MotorMode.VELOCITY
 
     def prepare(
         self, present: ShaftPresent, courses_at: CoursesAt, offsets: Offsets, *key: int
@@ -177,12 +177,12 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         """States (B, S): the shaft at its speed in the drive's loop; z (B,): draws of the speed."""
         state = lay.new_state(p, present.position_rad)
         state[line.S_COUNT] = round(present.now_s / p[lay.P_SAMPLE_TIME_S])  # effects follow the experiment's time
-        past = lay.S_MOTORS + line.SM_SIZE
+        past = self._layout.first_drive + line.DRIVE_SIZE
         state[past : past + line.RING] = present.torque_Nm
         (motor,) = self._layout.motor_states(state)
-        motor[line.SM_MODE], motor[line.SM_REFERENCE] = MotorMode.VELOCITY, present.command_rad_s
-        motor[line.SM_TORQUE_NM] = motor[line.SM_COMMAND_NM] = present.torque_Nm
-        motor[line.SM_INTEGRAL_NM] = present.torque_Nm - self._kp * present.error_rad_s
+        motor.mode, motor.reference = MotorMode.VELOCITY, present.command_rad_s
+        motor.torque_Nm = motor.command_Nm = present.torque_Nm
+        motor.integral_Nm = present.torque_Nm - self._kp * present.error_rad_s
         states = np.tile(state, (self._futures, 1))
         at_standstill = abs(present.speed_rad_s) <= _STANDSTILL * present.speed_sd_rad_s
         speeds = present.speed_rad_s + present.speed_sd_rad_s * z

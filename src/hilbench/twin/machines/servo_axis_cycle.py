@@ -37,10 +37,9 @@ from hilbench.estimation.servo_axis.inertia import InertiaArrays, InertiaEstimat
 from hilbench.plant.sensor_rows import silence
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.shaft import ServoAxis
-from hilbench.plant.web_line import kernel, laws, rig_cycle
-from hilbench.plant.web_line import layout as line
+from hilbench.plant.web_line import kernel, laws, records, rig_cycle
 from hilbench.plant.web_line.layout import Vector
-from hilbench.plant.web_line.line_vectors import LineVectors
+from hilbench.plant.web_line.line_vectors import LineVectors, arrays
 from hilbench.twin.machines.machine import LOOK, WENT_ON, MachineVectors
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED
 
@@ -108,13 +107,14 @@ def _simulate(a: _ShaftArrays, position_rad: float) -> None:
         outputs.viscous_Nm_s_per_rad = stated.viscous
     if priors[2] > 0.0:
         outputs.coulomb_Nm = stated.coulomb
-    time_s = s[line.S_COUNT] * p[lay.P_SAMPLE_TIME_S]
-    p[lay.P_INERTIA] = stated.inertia_kg_m2 / laws.inertia_factor_at(p, lay.AXIS, time_s)
-    p[lay.P_COULOMB], p[lay.P_VISCOUS] = max(outputs.coulomb_Nm, 0.0), max(outputs.viscous_Nm_s_per_rad, 0.0)
+    of = arrays(a.plant)
+    axis, sample_s = records.axis(of, 0), records.web(of).sample_time_s
+    axis.roller_mass_kg = stated.inertia_kg_m2 / laws.inertia_factor_at(axis, kernel.time_s(of), sample_s)
+    axis.coulomb_N, axis.viscous_N_s_per_m = max(outputs.coulomb_Nm, 0.0), max(outputs.viscous_Nm_s_per_rad, 0.0)
     s[lay.S_X_BEHIND] = position_rad + (s[lay.S_X_BEHIND] - s[lay.S_X])
     s[lay.S_X], speed = position_rad, s[lay.S_V]
     s[lay.S_DIRECTION] = 1.0 if speed > 0.0 else (-1.0 if speed < 0.0 else 0.0)
-    kernel.observe(p, s, u, w, out)
+    kernel.observe(p, s, u, w, out, False)
 
 
 @compiled

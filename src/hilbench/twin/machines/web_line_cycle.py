@@ -28,10 +28,10 @@ from hilbench.compiled import (
     load,
     merged,
     record_type,
-    records,
     rows_of,
     table_of,
 )
+from hilbench.compiled import records as array_of
 from hilbench.cycle_program import CompiledStage, never
 from hilbench.estimation.bank import Places
 from hilbench.estimation.web_line import balance, rollers, torque_shift
@@ -41,10 +41,9 @@ from hilbench.estimation.web_line.span_estimator import SpanEstimator
 from hilbench.estimation.web_line.span_estimator_cycle import SpanEstimatorArrays, run_arrays
 from hilbench.estimation.web_line.splices import SUMS
 from hilbench.estimation.web_line.synchronizers import filters
-from hilbench.plant import sample_coherence
-from hilbench.plant.sample_coherence import IncrementCheck, SampleCoherence, coherent, increments_steadily
+from hilbench.plant.sample_coherence import STEADY, IncrementCheck, SampleCoherence, coherent, increments_steadily
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line import line_vectors, rig_cycle
+from hilbench.plant.web_line import line_vectors, records, rig_cycle
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_vectors import LineVectors
@@ -97,9 +96,9 @@ class _LineArrays(NamedTuple):
     table the arrays of the span estimators follow."""
 
     travels: Reals  #: state of the coherence check
-    steady: Reals  #: state of `increments_steadily`
+    steady: Annotated[Any, STEADY]  #: state of `increments_steadily`
     figures: Annotated[Any, _FIGURES]
-    spans: Annotated[Any, records(_SPAN)]
+    spans: Annotated[Any, array_of(_SPAN)]
     rad_per_m: Reals  #: of the motors, at the web
     positions_m: Reals
     torques_Nm: Reals
@@ -112,7 +111,7 @@ class _LineArrays(NamedTuple):
     values: Reals
     whole: Wholes
     at: Annotated[Any, _AT]
-    published: Annotated[Any, records(_PUBLISHED)]
+    published: Annotated[Any, array_of(_PUBLISHED)]
     rollers: RollerArrays
     tracker: Annotated[Any, TRACKER]
     sums: Annotated[Any, SUMS]
@@ -144,7 +143,7 @@ def _measured(a: _LineArrays) -> bool:
     for axis in range(len(x_m)):
         x_m[axis] = measured[_MEASURED_SIZE * axis] * (1.0 / rad_per_m[axis])
     if not coherent(a.travels, x_m, figures.least_travel_m):
-        a.steady[sample_coherence.STEADY_MISSED] += 1.0
+        a.steady.missed += 1.0
         return False
     if not increments_steadily(a.steady, x_m[int(a.spans[0].place) + 1]):
         return False
@@ -213,7 +212,8 @@ def _show(a: _LineArrays) -> None:
 def _go_on(a: _LineArrays, strain_prev: float, F_next_N: float) -> None:
     """Step the line."""
     p, s, u, work, out = a.line
-    u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = strain_prev + a.figures.input_strain, F_next_N
+    around = records.boundary(line_vectors.arrays(a.line))
+    around.strain_prev, around.F_next_N = strain_prev + a.figures.input_strain, F_next_N
     samples = int(a.figures.samples)
     rig_cycle.step(p, s, u, work, out, a.motors, a.asked, samples, a.sensors, a.silence, a.shown)
 
@@ -222,7 +222,7 @@ def _go_on(a: _LineArrays, strain_prev: float, F_next_N: float) -> None:
 def _publish(a: _LineArrays, t: Record, k: int) -> None:
     """Compiled `WebLineTwin.published` of a span, from 0, of a line without effects on E."""
     at, values, factor = a.published[k], a.values, t.series_factor
-    values[at.F_sim_N] = a.line.out[3 * int(a.line.p[lay.W_MOTORS]) + k]
+    values[at.F_sim_N] = line_vectors.tension_N(a.line, k)
     values[at.E_sim_Pa] = factor * t.modulus_Pa
     values[at.E_deviation_Pa] = factor * t.deviation_Pa
     values[at.torque_sim_Nm] = a.shown[rig_cycle.SHOWN * (k + 1) + _TORQUE]
@@ -339,7 +339,7 @@ class LineCycle:
         rad_per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, axes + 1)])
         own = np.zeros(_MEASURED_SIZE * axes), np.zeros(axes), np.zeros(rig_cycle.SHOWN * axes)
         self._by_object = _LineArrays(
-            *(travels, self.steady.state, self._figures, self._spans, rad_per_m, self._positions_m, np.zeros(axes)),
+            *(travels, self.steady.vector, self._figures, self._spans, rad_per_m, self._positions_m, np.zeros(axes)),
             *own,
             step.motors,
             *(step.sensors, step.silence, np.zeros(2)),
