@@ -18,7 +18,7 @@ both s. Positions, speeds, masses and forces are those at the web. Stepping func
 
 from __future__ import annotations
 
-from hilbench.compiled import COUNT, FLAG, VECTOR, compiled, entry_point, inlined, merged, noinline
+from hilbench.compiled import COUNT, VECTOR, compiled, entry_point, inlined, merged, noinline
 from hilbench.plant import drive_loops as loops
 from hilbench.plant import motor_laws as motors
 from hilbench.plant.web_line import events, laws, motion, records, reels, splice_laws
@@ -294,6 +294,23 @@ def report(line: LineArrays, out: Vector, at: int) -> None:
         _report_any(line, out, at)
 
 
+@compiled
+def run(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+    """Advance a line by `samples` drive samples."""
+    line = records.line_of(p, s, u, w)
+    enter(line)
+    go_on(line, samples)
+    leave(line)
+
+
+@compiled
+def look(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector) -> None:
+    """Write measured and true values now to `out`."""
+    line = records.line_of(p, s, u, w)
+    enter(line)
+    report(line, out, 0)
+
+
 @inlined
 def columns(line: LineArrays) -> int:
     """Columns of a row of `report`."""
@@ -301,20 +318,12 @@ def columns(line: LineArrays) -> int:
 
 
 #: advance(parameters, state, inputs, work, samples): `samples` drive sample times onwards, state changed in place.
-#: observe(parameters, state, inputs, work, out, moved): measured motion and torque, tension, strain
-#: (`Layout.columns`); `moved`: by `set_modes` after a change of the state.
+#: observe(parameters, state, inputs, work, out): measured motion and torque, tension, strain (`Layout.columns`).
 @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, COUNT)
 def advance(p: Vector, s: Vector, u: Vector, work: Vector, samples: int) -> None:
-    line = records.line_of(p, s, u, work)
-    enter(line)
-    go_on(line, samples)
-    leave(line)
+    run(p, s, u, work, samples)
 
 
-@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, FLAG)
-def observe(p: Vector, s: Vector, u: Vector, work: Vector, out: Vector, moved: bool) -> None:
-    line = records.line_of(p, s, u, work)
-    if moved:
-        set_modes(line)
-    enter(line)
-    report(line, out, 0)
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
+def observe(p: Vector, s: Vector, u: Vector, work: Vector, out: Vector) -> None:
+    look(p, s, u, work, out)

@@ -385,7 +385,8 @@ def _flows(line: LineArrays, strain_prev: float, material: int) -> None:
             outflow = _unstretched(line, v, material, j + 1)
         else:
             outflow = v / (1.0 + downstream_strain(records.web(line), f_next_N))
-        outflow *= creep_factor(line, j, v)
+        if records.span(line, j).web_slip.creep_per_N != 0.0:
+            outflow *= creep_factor(line, j, v)
         records.part(line, j).rate_m_s = inflow - outflow
         inflow = outflow
 
@@ -402,8 +403,6 @@ def creep_factor(line: LineArrays, j: int, v_m_s: float) -> float:
     """Factor on the web passing the roller after span j: the web slips in the direction of the higher tension,
     whichever way the roller turns."""
     creep = records.span(line, j).web_slip.creep_per_N
-    if creep == 0.0:
-        return 1.0
     behind_N = records.part(line, j + 1).tension_N if j + 1 < line.k else records.boundary(line).F_next_N
     return 1.0 - (creep if v_m_s >= 0.0 else -creep) * (records.part(line, j).tension_N - behind_N)
 

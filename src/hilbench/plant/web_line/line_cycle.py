@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, compiled, entry_point, record_type
 from hilbench.compiled import records as array_of
 from hilbench.plant.measured_motion import MotionVectors, ahead_s, elapsed_s, publish, take
+from hilbench.plant.web_line import kernel, line_kernel, line_vectors, records
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line import line_kernel, line_vectors, records
 from hilbench.plant.web_line.line_kernel import FollowedLine
 
 Table = NDArray[np.int64]
@@ -66,7 +66,7 @@ def _pull(loaded: LoadedLine, lead_s: float) -> None:
         guess[j] = line.s[j]
     if lead_s > 0.0:
         line_kernel.predict(line, ahead, of, lead_s)
-    line_kernel.observe(ahead, loaded.ahead)
+    kernel.look(line.p, guess, line.u, line.w, loaded.ahead)
     for j in range(len(loaded.torques)):
         load, i = loaded.loads[j], int(loaded.loads[j].roller)
         loaded.torques[j] = line_kernel.web_torque_Nm(
@@ -93,11 +93,8 @@ def _show(cycle: LineCycle) -> None:
         at += 1
 
 
-#: follow(what, table of a `LineCycle`, or, only to pull, a `LoadedLine`): as of `measured_motion.InStep`.
-@entry_point(COUNT, TABLE)
-def follow(what: int, table: Table) -> int:
-    if len(table) == 0:
-        return NOTHING
+@compiled
+def _follow(what: int, table: Table) -> int:
     if what == PULL:
         loaded = arrays_in(table, LoadedLine)
         _pull(loaded, loaded.lead_s[0])
@@ -110,8 +107,14 @@ def follow(what: int, table: Table) -> int:
         return NOTHING
     line = line_vectors.arrays(loaded.of.line)
     line_kernel.follow_to(line, loaded.of, motion.positions, cycle.further, duration_s)
-    line_kernel.observe(line, loaded.of.line.out)
+    kernel.look(*loaded.of.line)
     _pull(loaded, ahead_s(motion.state))
     _show(cycle)
     publish(values, at[2 * len(motion.positions) :], loaded.torques, cycle.shown)
     return FOLLOWED
+
+
+#: follow(what, table of a `LineCycle`, or, only to pull, a `LoadedLine`): as of `measured_motion.InStep`.
+@entry_point(COUNT, TABLE)
+def follow(what: int, table: Table) -> int:
+    return NOTHING if len(table) == 0 else _follow(what, table)

@@ -21,8 +21,8 @@ from hilbench.plant.effects import effects_of
 from hilbench.plant.in_step import CompiledInStep
 from hilbench.plant.interface import PlantDescription, Quantity, checked_name
 from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion
-from hilbench.plant.web_line import kernel, line_cycle, line_kernel
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import line_cycle, line_kernel
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_cycle import LineCycle, LoadedLine
@@ -70,16 +70,16 @@ class PerturbedCopies:
     def follow(self, positions: Sequence[float] | Vector, duration_s: float) -> None:
         """Move the driven rollers to `positions` (N,), m, `duration_s` after the last call."""
         self._x[:] = positions
-        line_kernel.follow(duration_s, False, self._table)
+        line_kernel.follow(duration_s, 0, len(self.offsets_m), self._table)
 
     def show(self) -> Self:
         """Update the outputs after changes of the lines."""
-        line_kernel.follow(0.0, False, self._table)
+        line_kernel.follow(0.0, 0, len(self.offsets_m), self._table)
         return self
 
     def put(self) -> None:
         """Write `motions` back to the lines."""
-        line_kernel.follow(0.0, True, self._table)
+        line_kernel.follow(0.0, 1, len(self.offsets_m), self._table)
 
 
 class StateTransfer:
@@ -92,13 +92,21 @@ class StateTransfer:
         places = [*follower.further_places, *rows, *(n + row for row in rows)]
         # Roller and motor turn together.
         at = [*places, *(2 * n + place for place in places), *range(4 * n, 4 * n + 2 * k)]
-        self._at = lay.S_Y + np.array(at)
-        self._line, self._from, self._to = line, follower.vectors.s, line.vectors
+        self._line, self._at, size = line, np.array(at), line._layout.y_size
+        self._from, self._to = follower.motion, line._layout.y(line._state)
+        copies = line_kernel.Copies(
+            *(np.zeros(1), np.zeros((1, 0)), np.zeros((1, k)), np.zeros((1, size)), np.zeros(1))
+        )
+        nothing = np.zeros(4), np.zeros(0, line_kernel.ROLLER), np.zeros(0, np.int64)
+        self._kept = copies, line_kernel.FollowedLine(line.vectors, *nothing)
+        self._table = table_of(self._kept)
 
     def __call__(self) -> None:
         """Transfer the present state."""
-        self._to.s[self._at] = self._from[self._at]
-        kernel.observe(*self._to, True)
+        (motion,) = self._kept[0].motions
+        motion[:] = self._to
+        motion[self._at] = self._from[self._at]
+        line_kernel.follow(0.0, 1, 1, self._table)
         self._line.show()
 
 
@@ -214,30 +222,30 @@ class LineFollower(Line):
         the roller, F_next that of the span after it; of a reel one of them, with its present radius in place of the
         nominal.
         """
-        self.loaded(axes).speeds[:] = speeds
-        found: list[float] = self._pulled(axes, max(lead_s, 0.0)).torques.tolist()
+        found: list[float] = self._pulled(tuple(axes), max(lead_s, 0.0), speeds).torques.tolist()
         return found
 
     def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> LineInStep:
         """Compiled follower with load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
         return LineInStep(self, motion, axes)
 
-    def loaded(self, axes: Sequence[int]) -> LoadedLine:
-        """Vectors of this line with load motors on these axes."""
-        key = tuple(axes)
-        if key not in self._loaded:
+    def loaded(self, axes: tuple[int, ...]) -> tuple[LoadedLine, NDArray[np.int64]]:
+        """Vectors, and their table, of this line with load motors on these axes."""
+        if axes not in self._loaded:
             loads = self._all_loads[np.array(axes, int) - 1]
             speeds, guess, ahead = (np.zeros(len(each)) for each in (self._driven, self._state, self._out))
             torques_Nm, lead_s, moduli_Pa = (np.zeros(count) for count in (len(axes), 1, self._layout.spans))
             loaded = LoadedLine(self.followed, loads, speeds, guess, ahead, torques_Nm, lead_s, moduli_Pa)
-            self._loaded[key] = loaded, table_of(loaded)
-        return self._loaded[key][0]
+            self._loaded[axes] = loaded, table_of(loaded)
+        return self._loaded[axes]
 
-    def _pulled(self, axes: Sequence[int], lead_s: float) -> LoadedLine:
+    def _pulled(self, axes: tuple[int, ...], lead_s: float, speeds: Sequence[float] = ()) -> LoadedLine:
         """Update load torques, by the line predicted `lead_s` ahead, and E of its spans."""
-        loaded = self.loaded(axes)
+        loaded, table = self.loaded(axes)
+        if axes:
+            loaded.speeds[:] = speeds
         loaded.lead_s[0] = lead_s
-        line_cycle.follow(line_cycle.PULL, self._loaded[tuple(axes)][1])
+        line_cycle.follow(line_cycle.PULL, table)
         return loaded
 
     @property
@@ -339,7 +347,7 @@ class LineInStep(CompiledInStep):
 
     def __init__(self, line: LineFollower, motion: MeasuredMotion, axes: Sequence[int]) -> None:
         self._line = line
-        loaded, nothing = line.loaded(axes), (np.zeros(0), np.zeros(0, np.int64))
+        loaded, nothing = line.loaded(tuple(axes))[0], (np.zeros(0), np.zeros(0, np.int64))
         further, shown = np.zeros(len(line.driven_rows)), np.zeros(len(line.describe().outputs))
         arrays = LineCycle(loaded, motion.vectors, further, *line.places_of_outputs, shown, *nothing)
         super().__init__(line_cycle.follow, line_cycle.FOLLOWED, loaded.torques, arrays)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import (
-    FLAG,
+    COUNT,
     MATRIX,
     REAL,
     TABLE,
@@ -109,9 +109,7 @@ def roll_on(line: LineArrays, duration_s: float, sample_s: float, step_s: float)
     web.sample_time_s = duration_s / samples
     web.substeps = np.ceil(duration_s / samples / step_s - 1e-9)
     s[lay.S_COUNT] = time_s / web.sample_time_s
-    kernel.enter(line)
-    kernel.go_on(line, samples)
-    kernel.leave(line)
+    kernel.run(line.p, line.s, line.u, line.w, samples)
     s[lay.S_COUNT] = (time_s + duration_s) / sample_s
     web.sample_time_s = sample_s
 
@@ -208,50 +206,52 @@ def put_moduli(line: LineArrays, out: Vector, at: int) -> None:
 
 
 @compiled
-def observe(line: LineArrays, out: Vector) -> None:
-    """Write measured and true values now to `out`."""
-    kernel.enter(line)
-    kernel.report(line, out, 0)
-
-
-#: follow(duration in s, restores, table of `Copies`): the lines go on from what is integrated there if it `restores`,
-#: to the positions there if the duration is above 0, and what is there is updated.
-@entry_point(REAL, FLAG, TABLE)
-def follow(duration_s: float, restores: bool, table: Table) -> int:
-    copies = arrays_in(table, Copies)
-    for f in range(len(copies.offsets)):
-        of = arrays_in(table[_SHARED + f * _EACH :], FollowedLine)
-        line, out = line_vectors.arrays(of.line), of.line.out
-        for j in range(copies.motions.shape[1]):
-            if restores:
-                line.s[lay.S_Y + j] = copies.motions[f, j]
-        if restores:
-            kernel.set_modes(line)
-        if duration_s > 0.0:
-            follow_to(line, of, copies.x, copies.offsets[f], duration_s)
-        observe(line, out)
-        for j in range(line.k):
-            copies.tensions[f, j] = out[3 * line.m + j]
-        for j in range(copies.motions.shape[1]):
-            copies.motions[f, j] = line.s[lay.S_Y + j]
+def _follow(table: Table, f: int, duration_s: float, restores: bool) -> None:
+    """Cycle of line f of a table of `Copies`."""
+    copies, of = arrays_in(table, Copies), arrays_in(table[_SHARED + f * _EACH :], FollowedLine)
+    line, out, motions = line_vectors.arrays(of.line), of.line.out, copies.motions
+    if restores:
+        for j in range(motions.shape[1]):
+            line.s[lay.S_Y + j] = motions[f, j]
+        kernel.set_modes(line)
+    if duration_s > 0.0:
+        follow_to(line, of, copies.x, copies.offsets[f], duration_s)
+    kernel.look(*of.line)
+    for j in range(line.k):
+        copies.tensions[f, j] = out[3 * line.m + j]
+    for j in range(motions.shape[1]):
+        motions[f, j] = line.s[lay.S_Y + j]
+    if f == 0:
         for i in range(len(of.rows)):
-            if f == 0:
-                copies.ratios[i] = ratio(line, of.rows[i])
+            copies.ratios[i] = ratio(line, of.rows[i])
+
+
+#: follow(duration in s, restores, number of lines, table of `Copies`): they go on from what is integrated there if it
+#: `restores`, to the positions there if the duration is above 0, and what is there is updated.
+@entry_point(REAL, COUNT, COUNT, TABLE)
+def follow(duration_s: float, restores: int, lines: int, table: Table) -> int:
+    for f in range(lines):
+        _follow(table, f, duration_s, restores != 0)
     return 0
 
 
-#: follow_rows(table of a `FollowedLine`, positions (n, N), boundary (n, 2), cycle in s, tensions (n, K)): the line goes
-#: on from the first row, which is where it is, to each next one.
-@entry_point(TABLE, MATRIX, MATRIX, REAL, MATRIX)
-def follow_rows(table: Table, x: Matrix, boundary: Matrix, cycle_s: float, tensions: Matrix) -> None:
+@compiled
+def _follow_rows(table: Table, x: Matrix, further: Vector, boundary: Matrix, cycle_s: float, tensions: Matrix) -> None:
     of = arrays_in(table, FollowedLine)
-    line, further = line_vectors.arrays(of.line), np.zeros(len(of.rows))
+    line = line_vectors.arrays(of.line)
     around = records.boundary(line)
     for row in range(x.shape[0]):
         before = max(row - 1, 0)
         around.strain_prev, around.F_next_N = boundary[before, 0], boundary[before, 1]
         if row > 0:
             follow_to(line, of, x[row], further, cycle_s)
-        observe(line, of.line.out)
+        kernel.look(*of.line)
         for j in range(tensions.shape[1]):
             tensions[row, j] = of.line.out[3 * line.m + j]
+
+
+#: follow_rows(table of a `FollowedLine`, positions (n, N), boundary (n, 2), cycle in s, tensions (n, K)): the line goes
+#: on from the first row, which is where it is, to each next one.
+@entry_point(TABLE, MATRIX, MATRIX, REAL, MATRIX)
+def follow_rows(table: Table, x: Matrix, boundary: Matrix, cycle_s: float, tensions: Matrix) -> None:
+    _follow_rows(table, x, np.zeros(x.shape[1]), boundary, cycle_s, tensions)

@@ -50,7 +50,9 @@ def put_motion(line: LineVectors, axis: int, x_m: float, v_m_s: float) -> None:
 @compiled
 def show(line: LineVectors) -> None:
     """Update measured values after a change of the state; friction and gear contact follow the motion."""
-    kernel.observe(line.p, line.s, line.u, line.w, line.out, True)
+    of = arrays(line)
+    kernel.set_modes(of)
+    kernel.look(*line)
 
 
 @inlined

@@ -305,8 +305,8 @@ class SimulatedLine:
         """
         step, noise = self.step_in_vectors(duration_s), self._noise
         numbers = (self._silence, self._always) if noise is None else (noise.rows, noise.next)
-        vectors = *self.vectors, step.motors, set_points, step.sensors, shown, *numbers
-        return chained_with_noise(rig_cycle.step_by, step.samples, vectors, noise)
+        rig = rig_cycle.RigArrays(self.vectors, step.motors, set_points, step.sensors, shown)
+        return chained_with_noise(rig_cycle.step_by, step.samples, rig_cycle.NoisyRig(rig, *numbers), noise)
 
     def _observe(self) -> None:
         """Update `_out` to the state, and the ports' feedback."""
@@ -320,7 +320,7 @@ class SimulatedLine:
             show(self._ports, self._sensors, self._noise)
 
     def _refresh(self) -> None:
-        kernel.observe(*self.vectors, False)
+        kernel.observe(*self.vectors)
 
     def outputs(self) -> dict[str, float]:
         """Present outputs, with the present parameters."""

@@ -36,6 +36,7 @@ from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.records import LineArrays
 from hilbench.plant.web_line.shaft_load import ShaftLoad, emulate_shaft
 
+Table = NDArray[np.int64]
 #: A bus cycle, and the dead time from measured motion to the torque of a load motor, s.
 TIMES: Final = record_type("cycle_s", "lead_s")
 
@@ -100,7 +101,7 @@ def _emulate_web(rig: LineArrays, load: WebLoad, b: int, row: int, out: Vector, 
         line_kernel.follow_to(line, of, out[at : at + rig.n], load.further, times.cycle_s)
     # Steps of E are spread over the next cycle, so that what is found is continuous in their times.
     records.web(line).substeps = sample_s / times.cycle_s
-    line_kernel.observe(line, load.seen)
+    kernel.look(*of.line)
     at += kernel.columns(rig)
     for j in range(2 * line.k):
         out[at + j] = load.seen[3 * line.m + j]
@@ -113,11 +114,32 @@ def _emulate_web(rig: LineArrays, load: WebLoad, b: int, row: int, out: Vector, 
     guess[lay.S_COUNT] -= times.lead_s / sample_s  # only the motion is predicted: the tension has the present E
     ahead = records.line_of(line.p, guess, line.u, line.w)
     line_kernel.predict(line, ahead, of, times.lead_s)
-    line_kernel.observe(ahead, load.seen)
+    kernel.look(line.p, guess, line.u, line.w, load.seen)
     for j in range(rig.n, rig.m):  # the torque for the measurement at the previous SYNC
         records.given(rig, j).setpoint = load.loads[int(records.motor(rig, j).axis)]
     for i in range(rig.n):
         load.loads[i] = line_kernel.web_force_N(line, load.seen, load.rows[i]) * load.pulls[i]
+
+
+@compiled
+def _simulate(
+    line: LineArrays, b: int, commands: Vector, boundary: Vector, samples: int, out: Vector, at: int, columns: int,
+    web: Table, shaft: Table,
+) -> None:  # fmt: skip
+    around = records.boundary(line)
+    kernel.enter(line)
+    for row in range(commands.shape[0]):
+        around.strain_prev, around.F_next_N = boundary[row, 0], boundary[row, 1]
+        for j in range(commands.shape[1]):
+            records.given(line, j).setpoint = commands[row, j]
+        kernel.report(line, out, at)
+        if len(web) > 0:
+            _emulate_web(line, arrays_in(web, WebLoad), b, row, out, at)
+        elif len(shaft) > 0:
+            emulate_shaft(line, arrays_in(shaft, ShaftLoad), b, row, out, at)
+        kernel.go_on(line, samples)
+        at += columns
+    kernel.leave(line)
 
 
 #: simulate(parameters (B, P), states (B, S), inputs, work, commands (n, M), boundary (n, 2), samples, out (B, n, C),
@@ -126,25 +148,12 @@ def _emulate_web(rig: LineArrays, load: WebLoad, b: int, row: int, out: Vector, 
 @entry_point(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, COUNT, CUBE, TABLE, TABLE)
 def simulate(
     p: Vector, s: Vector, u: Vector, work: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector,
-    web: NDArray[np.int64], shaft: NDArray[np.int64],
+    web: Table, shaft: Table,
 ) -> None:  # fmt: skip
-    flat, at = out.reshape(-1), 0
+    flat, rows, columns = out.reshape(-1), out.shape[1], out.shape[2]
     for b in range(p.shape[0]):
         line = records.line_of(p[b], s[b], u, work)
-        around = records.boundary(line)
-        kernel.enter(line)
-        for row in range(commands.shape[0]):
-            around.strain_prev, around.F_next_N = boundary[row, 0], boundary[row, 1]
-            for j in range(commands.shape[1]):
-                records.given(line, j).setpoint = commands[row, j]
-            kernel.report(line, flat, at)
-            if len(web) > 0:
-                _emulate_web(line, arrays_in(web, WebLoad), b, row, flat, at)
-            elif len(shaft) > 0:
-                emulate_shaft(line, arrays_in(shaft, ShaftLoad), b, row, flat, at)
-            kernel.go_on(line, samples)
-            at += out.shape[2]
-        kernel.leave(line)
+        _simulate(line, b, commands, boundary, samples, flat, b * rows * columns, columns, web, shaft)
 
 
 #: No emulation, for `simulate`.

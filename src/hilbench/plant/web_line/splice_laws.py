@@ -136,7 +136,9 @@ def spliced_span_rates(line: LineArrays, t_s: float, strain_prev: float, materia
             if j + 1 < line.k:
                 strain = laws.stretch(line, material, j + 1) - 1.0
                 strain *= series_factor(pieces, x_m, begin, w[material + j + 1], stretch_prev)
-        outflow = v / (1.0 + strain / at_roller) * laws.creep_factor(line, j, v)
+        outflow = v / (1.0 + strain / at_roller)
+        if span.web_slip.creep_per_N != 0.0:
+            outflow *= laws.creep_factor(line, j, v)
         part.rate_m_s = inflow - outflow
         inflow = outflow
         damping_s = span.web_damping.time_constant_s

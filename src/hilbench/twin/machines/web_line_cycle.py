@@ -48,6 +48,7 @@ from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.rig_cycle import RigArrays
 from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.twin.machines import web_splice_tracker
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
@@ -205,17 +206,16 @@ def _compare(a: _LineArrays, table: Places, first: int, strain_prev: float, F_ne
 @compiled
 def _show(a: _LineArrays) -> None:
     """Update the motors' feedback after a change of state."""
-    rig_cycle.show(a.line.p, a.line.s, a.line.out, a.motors, a.sensors, a.silence, a.shown)
+    rig_cycle.show(RigArrays(a.line, a.motors, a.asked, a.sensors, a.shown), a.silence)
 
 
 @compiled
 def _go_on(a: _LineArrays, strain_prev: float, F_next_N: float) -> None:
     """Step the line."""
-    p, s, u, work, out = a.line
     around = records.boundary(line_vectors.arrays(a.line))
     around.strain_prev, around.F_next_N = strain_prev + a.figures.input_strain, F_next_N
-    samples = int(a.figures.samples)
-    rig_cycle.step(p, s, u, work, out, a.motors, a.asked, samples, a.sensors, a.silence, a.shown)
+    rig = RigArrays(a.line, a.motors, a.asked, a.sensors, a.shown)
+    rig_cycle.step(rig, int(a.figures.samples), a.silence)
 
 
 @compiled
