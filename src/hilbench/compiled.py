@@ -74,8 +74,8 @@ if TYPE_CHECKING:
     def noinline() -> None:
         """Keep a rarely called compiled function out of line, in its body: its callers stay short."""
 
-    def entry_point(*arguments: Any) -> Callable[[Function], Function]:
-        """Called from Python: machine code kept on disk, and other threads run meanwhile. It may allocate.
+    def entry_point(*arguments: Any, allocates: bool = True) -> Callable[[Function], Function]:
+        """Called from Python: machine code kept on disk, and other threads run meanwhile. It may allocate, if so said.
 
         `arguments`: types of the arguments (VECTOR, REAL, … below), for which `hilbench compile` compiles it. Called
         with others it is compiled for them as well, there and then.
@@ -158,9 +158,9 @@ else:
         for each in ({"forceinline": False}, {"forceinline": True}, {"inline": "always"})
     )
 
-    def entry_point(*arguments):
+    def entry_point(*arguments, allocates=True):
         def decorate(function):
-            options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+            options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True, "_nrt": allocates}
             dispatcher = numba.njit(**options)(function)
             dispatcher._cache = CodeCache(function, repr(options))
             dispatcher.arguments = arguments

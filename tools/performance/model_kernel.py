@@ -180,7 +180,7 @@ def _variants(model: ModelParameters) -> Section:
         out = np.empty((_VARIANTS, len(commands), layout.output_size))
         rows = commands * layout.motor_rows(p).rad_per_m
         simulation.simulate(
-            *(many, states, inputs, layout.new_work(), rows, boundary, 2, out),
+            *(many, states, inputs, layout.new_work(), rows, boundary, 2, out.reshape(-1), out.shape[2]),
             *(simulation.NOTHING, simulation.NOTHING),
         )
 

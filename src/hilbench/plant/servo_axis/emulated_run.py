@@ -94,8 +94,8 @@ def simulate_emulated(
             transition(lead_s), forward, gain,
         )  # fmt: skip
         simulation.simulate(
-            rigs[share], states[share], inputs.copy(), layout.new_work(), rows, free, samples, out[share],
-            simulation.NOTHING, table_of(load),
+            rigs[share], states[share], inputs.copy(), layout.new_work(), rows, free, samples,
+            out[share].reshape(-1), out.shape[2], simulation.NOTHING, table_of(load),
         )  # fmt: skip
 
     on_all_cores(run, len(many))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, compiled, entry_point, record_at, table_of
+from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, entry_point, record_at, table_of
 from hilbench.plant.in_step import CompiledInStep
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.measured_motion import (
@@ -61,8 +61,10 @@ _ON_TIME, _LATE, _PULL = 0, 1, 2
 NOTHING, FOLLOWED, ANOTHER_TIME = 0, 1, 2
 
 
-@compiled
-def _go_on(what: int, table: NDArray[np.int64]) -> int:
+@entry_point(COUNT, TABLE, allocates=False)
+def _follow(what: int, table: NDArray[np.int64]) -> int:
+    if len(table) == 0:
+        return NOTHING
     if what == _PULL:
         load = arrays_in(table, ShaftLoad)
         put_torque(load, 0, load.law.speed_rad_s)
@@ -83,11 +85,6 @@ def _go_on(what: int, table: NDArray[np.int64]) -> int:
         torques[k] = load.law.torque_Nm
     publish(cycle.values, cycle.at[2:], torques, torques)
     return FOLLOWED
-
-
-@entry_point(COUNT, TABLE)
-def _follow(what: int, table: NDArray[np.int64]) -> int:
-    return NOTHING if len(table) == 0 else _go_on(what, table)
 
 
 def most_rad_s2(real: ServoRigParameters) -> float:

@@ -116,7 +116,7 @@ def simulate_emulated(
         )  # fmt: skip
         simulation.simulate(
             rigs[share], starts[share], _rig_inputs(layout, n), layout.new_work(), at_motors, limits, samples,
-            out[share], table_of(load), simulation.NOTHING,
+            out[share].reshape(-1), out.shape[2], table_of(load), simulation.NOTHING,
         )  # fmt: skip
 
     on_all_cores(run, len(many))

@@ -319,11 +319,11 @@ def columns(line: LineArrays) -> int:
 
 #: advance(parameters, state, inputs, work, samples): `samples` drive sample times onwards, state changed in place.
 #: observe(parameters, state, inputs, work, out): measured motion and torque, tension, strain (`Layout.columns`).
-@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, COUNT)
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, COUNT, allocates=False)
 def advance(p: Vector, s: Vector, u: Vector, work: Vector, samples: int) -> None:
     run(p, s, u, work, samples)
 
 
-@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, allocates=False)
 def observe(p: Vector, s: Vector, u: Vector, work: Vector, out: Vector) -> None:
     look(p, s, u, work, out)

@@ -93,8 +93,11 @@ def _show(cycle: LineCycle) -> None:
         at += 1
 
 
-@compiled
-def _follow(what: int, table: Table) -> int:
+#: follow(what, table of a `LineCycle`, or, only to pull, a `LoadedLine`): as of `measured_motion.InStep`.
+@entry_point(COUNT, TABLE, allocates=False)
+def follow(what: int, table: Table) -> int:
+    if len(table) == 0:
+        return NOTHING
     if what == PULL:
         loaded = arrays_in(table, LoadedLine)
         _pull(loaded, loaded.lead_s[0])
@@ -112,9 +115,3 @@ def _follow(what: int, table: Table) -> int:
     _show(cycle)
     publish(values, at[2 * len(motion.positions) :], loaded.torques, cycle.shown)
     return FOLLOWED
-
-
-#: follow(what, table of a `LineCycle`, or, only to pull, a `LoadedLine`): as of `measured_motion.InStep`.
-@entry_point(COUNT, TABLE)
-def follow(what: int, table: Table) -> int:
-    return NOTHING if len(table) == 0 else _follow(what, table)

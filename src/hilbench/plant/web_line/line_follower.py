@@ -178,7 +178,7 @@ class LineFollower(Line):
             raise ValueError(f"positions {x_m.shape}, boundary {boundary.shape}, expected (n, {n}) and (n, 2)")
         tensions = np.empty((len(x_m), self._layout.spans))
         x, limits = np.ascontiguousarray(x_m, dtype=float), np.ascontiguousarray(boundary, dtype=float)
-        line_kernel.follow_rows(self._table, x, limits, cycle_s, tensions)
+        line_kernel.follow_rows(self._table, x, np.zeros(n), limits, cycle_s, tensions)
         return tensions
 
     def follow_on(

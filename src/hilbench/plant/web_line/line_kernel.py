@@ -15,6 +15,7 @@ from hilbench.compiled import (
     MATRIX,
     REAL,
     TABLE,
+    VECTOR,
     Reals,
     Reals2,
     Record,
@@ -205,38 +206,36 @@ def put_moduli(line: LineArrays, out: Vector, at: int) -> None:
             begin_m += unstretched_m
 
 
-@compiled
-def _follow(table: Table, f: int, duration_s: float, restores: bool) -> None:
-    """Cycle of line f of a table of `Copies`."""
-    copies, of = arrays_in(table, Copies), arrays_in(table[_SHARED + f * _EACH :], FollowedLine)
-    line, out, motions = line_vectors.arrays(of.line), of.line.out, copies.motions
-    if restores:
-        for j in range(motions.shape[1]):
-            line.s[lay.S_Y + j] = motions[f, j]
-        kernel.set_modes(line)
-    if duration_s > 0.0:
-        follow_to(line, of, copies.x, copies.offsets[f], duration_s)
-    kernel.look(*of.line)
-    for j in range(line.k):
-        copies.tensions[f, j] = out[3 * line.m + j]
-    for j in range(motions.shape[1]):
-        motions[f, j] = line.s[lay.S_Y + j]
-    if f == 0:
-        for i in range(len(of.rows)):
-            copies.ratios[i] = ratio(line, of.rows[i])
-
-
 #: follow(duration in s, restores, number of lines, table of `Copies`): they go on from what is integrated there if it
 #: `restores`, to the positions there if the duration is above 0, and what is there is updated.
-@entry_point(REAL, COUNT, COUNT, TABLE)
+@entry_point(REAL, COUNT, COUNT, TABLE, allocates=False)
 def follow(duration_s: float, restores: int, lines: int, table: Table) -> int:
+    copies = arrays_in(table, Copies)
+    motions = copies.motions
     for f in range(lines):
-        _follow(table, f, duration_s, restores != 0)
+        of = arrays_in(table[_SHARED + f * _EACH :], FollowedLine)
+        line, out = line_vectors.arrays(of.line), of.line.out
+        if restores:
+            for j in range(motions.shape[1]):
+                line.s[lay.S_Y + j] = motions[f, j]
+            kernel.set_modes(line)
+        if duration_s > 0.0:
+            follow_to(line, of, copies.x, copies.offsets[f], duration_s)
+        kernel.look(*of.line)
+        for j in range(line.k):
+            copies.tensions[f, j] = out[3 * line.m + j]
+        for j in range(motions.shape[1]):
+            motions[f, j] = line.s[lay.S_Y + j]
+        if f == 0:
+            for i in range(len(of.rows)):
+                copies.ratios[i] = ratio(line, of.rows[i])
     return 0
 
 
-@compiled
-def _follow_rows(table: Table, x: Matrix, further: Vector, boundary: Matrix, cycle_s: float, tensions: Matrix) -> None:
+#: follow_rows(table of a `FollowedLine`, positions (n, N), offsets of these (N,), boundary (n, 2), cycle in s, tensions
+#: (n, K)): the line goes on from the first row, which is where it is, to each next one.
+@entry_point(TABLE, MATRIX, VECTOR, MATRIX, REAL, MATRIX, allocates=False)
+def follow_rows(table: Table, x: Matrix, further: Vector, boundary: Matrix, cycle_s: float, tensions: Matrix) -> None:
     of = arrays_in(table, FollowedLine)
     line = line_vectors.arrays(of.line)
     around = records.boundary(line)
@@ -248,10 +247,3 @@ def _follow_rows(table: Table, x: Matrix, further: Vector, boundary: Matrix, cyc
         kernel.look(*of.line)
         for j in range(tensions.shape[1]):
             tensions[row, j] = of.line.out[3 * line.m + j]
-
-
-#: follow_rows(table of a `FollowedLine`, positions (n, N), boundary (n, 2), cycle in s, tensions (n, K)): the line goes
-#: on from the first row, which is where it is, to each next one.
-@entry_point(TABLE, MATRIX, MATRIX, REAL, MATRIX)
-def follow_rows(table: Table, x: Matrix, boundary: Matrix, cycle_s: float, tensions: Matrix) -> None:
-    _follow_rows(table, x, np.zeros(x.shape[1]), boundary, cycle_s, tensions)

@@ -85,8 +85,8 @@ def simulate(
 
     def run(share: slice) -> None:
         simulation.simulate(
-            many[share], states[share], inputs.copy(), layout.new_work(), rows, limits, samples, out[share],
-            simulation.NOTHING, simulation.NOTHING,
+            many[share], states[share], inputs.copy(), layout.new_work(), rows, limits, samples,
+            out[share].reshape(-1), out.shape[2], simulation.NOTHING, simulation.NOTHING,
         )  # fmt: skip
 
     on_all_cores(run, len(many))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, TABLE, Reals, Reals2, Wholes, arrays_in, compiled, entry_point
 from hilbench.cycle_program import CONTINUE
-from hilbench.plant.sensor_rows import take_row
+from hilbench.plant.sensor_rows import ALWAYS_FIRST
 from hilbench.plant.web_line import kernel, records
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors, arrays
@@ -36,7 +36,7 @@ class RigArrays(NamedTuple):
 
 
 class NoisyRig(NamedTuple):
-    """Rig with the normal numbers of its sensors, as of `sensor_rows.take_row`."""
+    """Rig with the normal numbers of its sensors, and the row of the next step."""
 
     rig: RigArrays
     numbers: Reals2
@@ -76,19 +76,17 @@ def step(rig: RigArrays, samples: int, noise: Vector) -> None:
 @compiled
 def step_noisy(noisy: NoisyRig, samples: int) -> int:
     """`step` with the next numbers."""
-    row = take_row(noisy.numbers, noisy.next_row)
-    if row < 0:
-        return DRAW
+    row, following = 0, noisy.next_row
+    if following[0] != ALWAYS_FIRST:
+        row = following[0]
+        if row == len(noisy.numbers):
+            return DRAW
+        following[0] += 1
     step(noisy.rig, samples, noisy.numbers[row])
     return CONTINUE
 
 
-@compiled
-def _step(samples: int, table: Table) -> int:
-    return step_noisy(arrays_in(table, NoisyRig), samples)
-
-
 #: step_by(samples, table of a `NoisyRig`).
-@entry_point(COUNT, TABLE)
+@entry_point(COUNT, TABLE, allocates=False)
 def step_by(samples: int, table: Table) -> int:
-    return _step(samples, table)
+    return step_noisy(arrays_in(table, NoisyRig), samples)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import (
     COUNT,
-    CUBE,
     MATRIX,
     TABLE,
     VECTOR,
@@ -121,39 +120,31 @@ def _emulate_web(rig: LineArrays, load: WebLoad, b: int, row: int, out: Vector, 
         load.loads[i] = line_kernel.web_force_N(line, load.seen, load.rows[i]) * load.pulls[i]
 
 
-@compiled
-def _simulate(
-    line: LineArrays, b: int, commands: Vector, boundary: Vector, samples: int, out: Vector, at: int, columns: int,
-    web: Table, shaft: Table,
-) -> None:  # fmt: skip
-    around = records.boundary(line)
-    kernel.enter(line)
-    for row in range(commands.shape[0]):
-        around.strain_prev, around.F_next_N = boundary[row, 0], boundary[row, 1]
-        for j in range(commands.shape[1]):
-            records.given(line, j).setpoint = commands[row, j]
-        kernel.report(line, out, at)
-        if len(web) > 0:
-            _emulate_web(line, arrays_in(web, WebLoad), b, row, out, at)
-        elif len(shaft) > 0:
-            emulate_shaft(line, arrays_in(shaft, ShaftLoad), b, row, out, at)
-        kernel.go_on(line, samples)
-        at += columns
-    kernel.leave(line)
-
-
-#: simulate(parameters (B, P), states (B, S), inputs, work, commands (n, M), boundary (n, 2), samples, out (B, n, C),
-#: tables of a `WebLoad` and of a `ShaftLoad`, empty without): for each row observe, then advance `samples` with the
+#: simulate(parameters (B, P), states (B, S), inputs, work, commands (n, M), boundary (n, 2), samples, out (B · n · C,),
+#: C, tables of a `WebLoad` and of a `ShaftLoad`, empty without): for each row observe, then advance `samples` with the
 #: row's set points, upstream strain and downstream tension.
-@entry_point(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, COUNT, CUBE, TABLE, TABLE)
+@entry_point(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, COUNT, VECTOR, COUNT, TABLE, TABLE, allocates=False)
 def simulate(
     p: Vector, s: Vector, u: Vector, work: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector,
-    web: Table, shaft: Table,
+    columns: int, web: Table, shaft: Table,
 ) -> None:  # fmt: skip
-    flat, rows, columns = out.reshape(-1), out.shape[1], out.shape[2]
+    at = 0
     for b in range(p.shape[0]):
         line = records.line_of(p[b], s[b], u, work)
-        _simulate(line, b, commands, boundary, samples, flat, b * rows * columns, columns, web, shaft)
+        around = records.boundary(line)
+        kernel.enter(line)
+        for row in range(commands.shape[0]):
+            around.strain_prev, around.F_next_N = boundary[row, 0], boundary[row, 1]
+            for j in range(commands.shape[1]):
+                records.given(line, j).setpoint = commands[row, j]
+            kernel.report(line, out, at)
+            if len(web) > 0:
+                _emulate_web(line, arrays_in(web, WebLoad), b, row, out, at)
+            elif len(shaft) > 0:
+                emulate_shaft(line, arrays_in(shaft, ShaftLoad), b, row, out, at)
+            kernel.go_on(line, samples)
+            at += columns
+        kernel.leave(line)
 
 
 #: No emulation, for `simulate`.
