@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from hilbench.plant.motor_laws import measured_motion
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.servo_axis import layout as servo_lay
 from hilbench.plant.servo_axis import offline as servo_offline
@@ -230,7 +231,6 @@ def test_the_torque_that_a_measured_motion_needs_is_the_one_that_made_it(
     )
     parameters = lone_axis(*made)
     p = lay.pack(parameters)
-    (motor,) = lay.Layout.of(p).motor_rows(p)
     rng = np.random.default_rng(0)
     x, v, tau = rng.uniform(-5.0, 5.0, 50), rng.uniform(0.1, 4.0, 50), rng.uniform(-5.0, 5.0, 50)
     v *= rng.choice([-1.0, 1.0], 50)
@@ -243,7 +243,7 @@ def test_the_torque_that_a_measured_motion_needs_is_the_one_that_made_it(
         motion = (np.full(2, value[k]) for value in (measured_x, measured_v, measured_a))
         required_torque_Nm(p, *motion, 0.001, out)
         assert out[0] == pytest.approx(tau[k] - inertia_share * MASS_KG * a[k], abs=1e-9)
-    assert laws.measured_motion(motor, float(x[0]), float(v[0])) == pytest.approx((measured_x[0], measured_v[0]))
+    assert measured_motion(amplitude, phase, float(x[0]), float(v[0])) == pytest.approx((measured_x[0], measured_v[0]))
 
 
 def test_effects_of_real_drives_run_on_a_whole_line_and_end_where_they_are_cleared() -> None:

@@ -1,8 +1,7 @@
 """Sampled control loops of a drive, compiled: reference ramp, position P, velocity PI, current loop.
 
-`velocity_reference` and `velocity_loop` are a drive firmware's work once per sample time; between samples the torque
-follows its command through a first-order current loop (`torque_after`). SI, motor side. Used by
-`hilbench.plant.web_line.kernel`, which holds the state in flat arrays.
+`drive_sample` is a drive firmware's work once per sample time; between samples the torque follows its command through a
+first-order current loop (`torque_after`). SI, motor side.
 """
 
 from __future__ import annotations
@@ -69,21 +68,6 @@ def torque_after(torque_Nm: float, command_Nm: float, decay: float) -> float:
 
 
 @inlined
-def velocity_reference(
-    mode: float, before: float, reference: float, position_rad: float, kp_per_s: float, slope: float, sample_s: float
-) -> float:
-    """Reference of the velocity loop; the position loop adds the velocity of a ramped reference (feed-forward).
-
-    A ramped reference is `before` at the sample instant and gets to `reference` at its end, as the position does.
-    """
-    if mode != POSITION:
-        return reference
-    if slope >= 1e300:
-        return kp_per_s * (reference - position_rad)
-    return kp_per_s * (before - position_rad) + (reference - before) / sample_s
-
-
-@inlined
 def drive_sample(
     motor: Record, drive: Record, given: Record, sample_s: float, x_rad: float, v_rad_s: float, kp: float, ki: float,
     current_s: float,
@@ -107,7 +91,13 @@ def drive_sample(
         command = clip(reference, limit)
         limited = command != reference
     else:
-        wanted = velocity_reference(mode, before, reference, x_rad, motor.position_kp, given.slope, sample_s)
+        wanted = reference
+        if mode == POSITION and given.slope >= 1e300:
+            wanted = motor.position_kp * (reference - x_rad)
+        elif mode == POSITION:
+            # With the velocity of the ramp, which is `before` at the sample instant and gets to `reference` at its
+            # end, as the position does.
+            wanted = motor.position_kp * (before - x_rad) + (reference - before) / sample_s
         command, drive.integral_Nm, limited = velocity_loop(
             wanted - v_rad_s, drive.integral_Nm, kp, ki, limit, sample_s
         )

@@ -27,7 +27,7 @@ from hilbench.compiled import (
 )
 from hilbench.cycle_program import CompiledStage
 from hilbench.plant import sample_coherence
-from hilbench.plant.sample_coherence import OWN, SampleCoherence, Vector, coherent, own_travels
+from hilbench.plant.sample_coherence import COHERENCE, OWN, SampleCoherence, Vector, coherent, own_travels
 
 #: Largest delay of a sample, in cycles, that is compensated by prediction; an older one has too little information.
 MOST_PREDICTED_CYCLES = 3.0
@@ -61,7 +61,7 @@ def elapsed_s(m: Record, travels: Vector, positions: Vector, speeds: Vector, lat
         return float(elapsed * m.cycle_s)
     m.behind += 1.0
     if late:
-        sample_coherence.miss(travels)
+        record_in(travels, 0, COHERENCE).cycles += 1.0
         return 0.0
     if not coherent(travels, positions, m.least_travel):
         return 0.0

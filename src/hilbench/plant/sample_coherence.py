@@ -100,31 +100,18 @@ def increments_steadily(state: Record, x_m: float) -> bool:
 
 
 @compiled
-def miss(state: Vector) -> None:
-    """Count a cycle without positions of its own."""
-    record_in(state, 0, COHERENCE).cycles += 1.0
-
-
-@compiled
-def _fits(travels: Vector, usual: Vector, plays: Vector, elapsed: float) -> bool:
-    """True if these travels fit so many cycles, at any possible acceleration of a machine."""
+def _fits(travels: Vector, usual: Vector, plays: Vector, elapsed: float, fastest: int) -> bool:
+    """True if these travels fit so many cycles, at any possible acceleration of a machine, and all axes have gone as
+    far as the fastest, whose travel gives the common acceleration: after many cycles one that is a cycle further would
+    else pass as accelerated more."""
+    turns, spare = usual[fastest] != 0.0, max(_APART * elapsed, 1.0)
+    cycles = travels[fastest] / usual[fastest] if turns else 0.0
     fits = True
     for k in range(len(travels)):
-        fits &= abs(travels[k] - elapsed * usual[k]) <= _ALIKE * abs(usual[k]) + elapsed * elapsed * plays[k]
+        share = _ALIKE * abs(usual[k])
+        fits &= abs(travels[k] - elapsed * usual[k]) <= share + elapsed * elapsed * plays[k]
+        fits &= not turns or abs(travels[k] - cycles * usual[k]) <= share + spare * plays[k]
     return fits
-
-
-@compiled
-def _agree(travels: Vector, usual: Vector, plays: Vector, elapsed: float, fastest: int) -> bool:
-    """True if all axes have gone as far as the fastest, whose travel gives the common acceleration: after many cycles
-    one that is a cycle further would else pass as accelerated more."""
-    if usual[fastest] == 0.0:
-        return True
-    cycles, spare = travels[fastest] / usual[fastest], max(_APART * elapsed, 1.0)
-    agree = True
-    for k in range(len(travels)):
-        agree &= abs(travels[k] - cycles * usual[k]) <= _ALIKE * abs(usual[k]) + spare * plays[k]
-    return agree
 
 
 @compiled
@@ -138,10 +125,9 @@ def whole_cycles(travels: Vector, usual: Vector, plays: Vector, reported: float)
     if usual[fastest] != 0.0:
         by_travel = max(np.rint(travels[fastest] / usual[fastest]), 0.0)
     is_clear = _ALIKE * abs(usual[fastest]) > plays[fastest]
-    if not is_clear and _fits(travels, usual, plays, reported) and _agree(travels, usual, plays, reported, fastest):
+    if not is_clear and _fits(travels, usual, plays, reported, fastest):
         return reported
-    agree = _fits(travels, usual, plays, by_travel) and _agree(travels, usual, plays, by_travel, fastest)
-    return by_travel if agree else -1.0
+    return by_travel if _fits(travels, usual, plays, by_travel, fastest) else -1.0
 
 
 #: State of `own_travels`: cycles since positions were accepted, and number refused since; cycles between the last two

@@ -175,7 +175,9 @@ def compare(
     balance.use_modulus(v.balance, t.modulus_Pa)
     creep_per_N, behind_N = balance.creep_per_N(v.balance), F_next_N
     if creep_per_N != 0.0:
-        behind_N = line_vectors.tension_behind_N(v.line, int(t.span), F_next_N)
+        behind_N, behind = F_next_N, int(t.span) + 1
+        if behind < line_vectors.arrays(v.line).k:
+            behind_N = line_vectors.tension_N(v.line, behind)
     if isnan(strain_next):
         strain_next = laws.downstream_strain(records.web(records.of_parameters(v.balance.p)), F_next_N)
     duration_s = t.cycle_s + t.missed_s
@@ -386,7 +388,7 @@ def transfer(v: SpanEstimatorArrays) -> None:
     t.refused_m = t.refused_m + abs(v1_m_s) * t.cycle_s if refused else 0.0
     if changed:
         line_vectors.show(line)
-        if line_vectors.reports(line):
+        if records.call(line_vectors.arrays(line)).reports != 0.0:
             t.moved = 1.0
 
 

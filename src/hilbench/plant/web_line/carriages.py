@@ -11,7 +11,6 @@ from __future__ import annotations
 from math import cos
 
 from hilbench.compiled import Record, inlined
-from hilbench.plant.web_line import records
 from hilbench.plant.web_line.records import LineArrays
 
 
@@ -25,29 +24,6 @@ def is_carriage(line: LineArrays, i: int) -> bool:
 def gain(axis: Record, x_m: float) -> float:
     """Growth of a strand per travel, z'(x)."""
     return cos(x_m / axis.arm_m) if axis.arm_m != 0.0 else 1.0
-
-
-@inlined
-def force_N(axis: Record, x_m: float) -> float:
-    """Force of cylinder, weight and spring, in the direction that lengthens the web."""
-    return axis.force_N - axis.spring_N_per_m * (x_m - axis.spring_rest_m)
-
-
-@inlined
-def web_force_N(line: LineArrays, axis: Record, x_m: float) -> float:
-    """Force of its strands."""
-    total = 0.0
-    for j in range(int(axis.first_span), int(axis.last_span) + 1):
-        total += records.part(line, j).tension_N
-    return -gain(axis, x_m) * total
-
-
-@inlined
-def add_length_rates(line: LineArrays, axis: Record, x_m: float, v_m_s: float) -> None:
-    """Add the rates by its motion to those of the lengths, m/s."""
-    rate = gain(axis, x_m) * v_m_s
-    for j in range(int(axis.first_span), int(axis.last_span) + 1):
-        records.part(line, j).length_rate_m_s += rate
 
 
 @inlined

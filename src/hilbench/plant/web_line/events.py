@@ -21,31 +21,17 @@ _POSITION_ROUNDING = 1e-15
 
 
 @inlined
-def any_sticks(line: LineArrays) -> bool:
-    """True if dry friction holds a roller or carriage, or a stop a carriage."""
-    sticks = False
-    for i in range(line.n):
-        sticks |= motion.sticks(line, i) or motion.is_at_stop(line, i)
-    return sticks
-
-
-@inlined
 def still_slides(line: LineArrays) -> bool:
     """True if at the step's end all parts with dry friction move in their direction, and no carriage is at a stop."""
     end = records.block(line, lay.STAGE)
     for i in range(line.n):
         axis, v = records.axis(line, i), line.w[end + line.n + i]
-        if _reversal(v, records.mode(line, i).direction) > _EVENT_TOLERANCE and laws.is_dry(axis):
+        reversal = -v * records.mode(line, i).direction * 1e3  # speed beyond standstill, mm/s
+        if reversal > _EVENT_TOLERANCE and laws.is_dry(axis):
             return False
         if carriages.is_carriage(line, i) and carriages.beyond_m(axis, line.w[end + i]) > 0.0:
             return False
     return True
-
-
-@inlined
-def _reversal(v: float, direction: float) -> float:
-    """Speed beyond standstill in the opposite direction, mm/s."""
-    return -v * direction * 1e3
 
 
 @compiled
@@ -65,9 +51,9 @@ def _violations(line: LineArrays, t: float, i: int, y: int) -> tuple[float, floa
     own = motion.own_force_N(line, i, y, False) + (0.0 if apart else drive)
     if apart:
         # Positions grow: separating flanks must not count as passed because of the rounding of their distance.
-        half_gap_m = laws.half_gap_m(axis, records.motor(line, i))
+        half_gap_m = 0.5 * axis.backlash.gap_rad / records.motor(line, i).rad_per_m
         gear = (abs(w[y + 2 * n + i] - x) - half_gap_m - _POSITION_ROUNDING * abs(x)) * 1e6
-    elif laws.has_gap(axis):
+    elif axis.backlash.gap_rad > 0.0:
         per_kg = records.part(line, i).per_kg
         acceleration = 0.0 if sticks else motion.acceleration_m_s2(line, i, v, per_kg, own, web, drive, False)
         motor_kg = axis.motor_mass_kg * (1.0 + axis.inertia_mismatch.relative_change)
@@ -79,7 +65,7 @@ def _violations(line: LineArrays, t: float, i: int, y: int) -> tuple[float, floa
         gear = -mode.contact * net - laws.breakaway_N(axis)
     elif laws.is_dry(axis):
         breakaway = laws.breakaway_N(axis) + laws.load_friction_N(axis, 0.0 if apart else drive)
-        friction = abs(net) - breakaway if sticks else _reversal(v, mode.direction)
+        friction = abs(net) - breakaway if sticks else -v * mode.direction * 1e3
     return gear, friction, net
 
 
@@ -93,24 +79,31 @@ def web_at(line: LineArrays, t: float, y: int) -> None:
 def _settle_one(line: LineArrays, t: float) -> bool:
     """Change the mode of the first axis that has left it, if there is one."""
     web_at(line, t, 0)
-    for i in range(line.n):
-        mode = records.mode(line, i)
+    w, n = line.w, line.n
+    for i in range(n):
+        axis, mode = records.axis(line, i), records.mode(line, i)
         gear, friction, net = _violations(line, t, i, 0)
         if gear > _EVENT_TOLERANCE:
             if carriages.is_carriage(line, i):
                 _meet_or_leave_stop(line, i)
             elif mode.contact != 0.0:
                 mode.contact = 0.0
-            else:
-                _touch(line, i)
+            else:  # plastic impact of the gear's flanks, momentum kept
+                motor_kg, roller_kg = axis.motor_mass_kg, axis.roller_mass_kg
+                v = (motor_kg * w[3 * n + i] + roller_kg * w[n + i]) / (motor_kg + roller_kg)
+                mode.contact = 1.0 if w[2 * n + i] > w[i] else -1.0
+                w[2 * n + i] = w[i] + mode.contact * 0.5 * axis.backlash.gap_rad / records.motor(line, i).rad_per_m
+                w[n + i] = w[3 * n + i] = v
+                if v != 0.0:
+                    mode.direction = 1.0 if v > 0.0 else -1.0
             return True
         if friction > _EVENT_TOLERANCE:
             if mode.direction == 0.0:
                 mode.direction = 1.0 if net > 0.0 else -1.0
             else:
-                mode.direction = line.w[line.n + i] = 0.0
-                if not (motion.is_apart(line, i) or laws.twists(records.axis(line, i))):
-                    line.w[3 * line.n + i] = 0.0
+                mode.direction = w[n + i] = 0.0
+                if not (motion.is_apart(line, i) or axis.resonance.inertia_share != 0.0):
+                    w[3 * n + i] = 0.0
             return True
     return False
 
@@ -126,35 +119,6 @@ def _meet_or_leave_stop(line: LineArrays, i: int) -> None:
     mode.contact = 1.0 if above else -1.0
     w[i] = w[2 * n + i] = axis.upper_stop_m if above else axis.lower_stop_m
     w[n + i] = w[3 * n + i] = 0.0
-
-
-@compiled
-def _touch(line: LineArrays, i: int) -> None:
-    """Close the gear's flanks: plastic impact, momentum kept."""
-    axis, mode, w, n = records.axis(line, i), records.mode(line, i), line.w, line.n
-    motor_kg, roller_kg = axis.motor_mass_kg, axis.roller_mass_kg
-    v = (motor_kg * w[3 * n + i] + roller_kg * w[n + i]) / (motor_kg + roller_kg)
-    mode.contact = 1.0 if w[2 * n + i] > w[i] else -1.0
-    w[2 * n + i] = w[i] + mode.contact * laws.half_gap_m(axis, records.motor(line, i))
-    w[n + i] = w[3 * n + i] = v
-    if v != 0.0:
-        mode.direction = 1.0 if v > 0.0 else -1.0
-
-
-@compiled
-def _settle(line: LineArrays, t: float) -> None:
-    """Change modes until every axis fits its own (a roller that stops may stick at once, or slide back).
-
-    One at a time: a change of one axis's mode may change the forces on others.
-    """
-    for i in range(line.n):
-        mode, v = records.mode(line, i), line.w[line.n + i]
-        if mode.direction == 0.0 and v != 0.0:
-            mode.direction = 1.0 if v > 0.0 else -1.0
-    motion.torques_now(line)
-    for _ in range(2 * _MOST_EVENTS):
-        if not _settle_one(line, t):
-            return
 
 
 @compiled
@@ -204,7 +168,16 @@ def step_with_events(line: LineArrays, t: float, h: float) -> None:
     for event in range(_MOST_EVENTS + 1):
         search = event < _MOST_EVENTS
         if search:
-            _settle(line, t)
+            # Until every axis fits its mode (a roller that stops may stick at once, or slide back); one at a time, as a
+            # change of one axis's mode may change the forces on others.
+            for i in range(line.n):
+                mode, v = records.mode(line, i), line.w[line.n + i]
+                if mode.direction == 0.0 and v != 0.0:
+                    mode.direction = 1.0 if v > 0.0 else -1.0
+            motion.torques_now(line)
+            for _ in range(2 * _MOST_EVENTS):
+                if not _settle_one(line, t):
+                    break
         done = _until_event(line, t, left, search)
         motion.accept(line)
         t += done

@@ -87,7 +87,7 @@ def _required_torque_Nm(
 ) -> None:
     line = records.of_parameters(p)
     axis, motor = records.axis(line, 0), records.motor(line, 0)
-    late, half_play = motor.torque_delay.delay_s / period_s, laws.half_gap_m(axis, motor)
+    late, half_play = motor.torque_delay.delay_s / period_s, 0.5 * axis.backlash.gap_rad / motor.rad_per_m
     turns_over = presliding_m > 0.0 or half_play > 0.0
     presliding, deflection, before = max(presliding_m, LEAST_PRESLIDING), 0.0, x_m[0]
     swing, a_before = (0.0, 0.0), 0.0
@@ -104,7 +104,7 @@ def _required_torque_Nm(
         else:
             direction = motors.measured_direction(v, laws.FRICTION_WIDTH_M_S)
         of_all = a
-        if laws.twists(axis):
+        if axis.resonance.inertia_share != 0.0:
             if k == 0:  # under steady acceleration
                 swing = -a / (2.0 * pi * axis.resonance.frequency_Hz) ** 2, 0.0
             else:

@@ -45,7 +45,8 @@ def _sample_erring_drives(line: LineArrays) -> None:
     for j in range(line.m):
         at, motor = motion.shaft_of_motor(line, j), records.motor(line, j)
         x_rad, v_rad_s = line.w[at] * motor.rad_per_m, line.w[at + line.n] * motor.rad_per_m
-        x_rad, v_rad_s = laws.measured_motion(motor, x_rad, v_rad_s)
+        error = motor.encoder_error
+        x_rad, v_rad_s = motors.measured_motion(error.amplitude_rad, error.phase_rad, x_rad, v_rad_s)
         _sample_drive(line, j, x_rad, v_rad_s)
     _leave_out(line, False)
 
@@ -57,29 +58,9 @@ def time_s(line: LineArrays) -> float:
 
 
 @merged
-def _simple_step(line: LineArrays, t: float, h: float, pace: float, counted: bool) -> bool:
-    """Take one step unless there is an event in it; True if taken.
-
-    `pace`: integration mode of the line; without gear play and a sticking roller an event shows in the speeds at the
-    step's end. `counted`: compile-time constant, as are the counts then; the rates are compiled with them.
-    """
-    if pace == lay.PLAY or events.any_sticks(line):
-        return False
-    if counted and pace == lay.PLAIN:
-        motion.integrate(line, t, h, True)
-    elif pace == lay.PLAIN:
-        motion.integrate_plain(line, t, h)
-    else:
-        motion.integrate_any(line, t, h)
-    if not events.still_slides(line):
-        return False
-    motion.accept(line)
-    return True
-
-
-@merged
 def advance_line(line: LineArrays, samples: int, counted: bool) -> None:
-    """`go_on` of a line with these counts; `counted`: the counts are compile-time constants."""
+    """`go_on` of a line with these counts; `counted`: they are compile-time constants, and the rates are compiled with
+    them."""
     call, period, m = records.call(line), records.web(line).sample_time_s, line.m
     substeps, pace, reports = int(call.substeps), call.pace, call.reports != 0.0
     h = period / substeps
@@ -98,7 +79,19 @@ def advance_line(line: LineArrays, samples: int, counted: bool) -> None:
             laws.put_step_factors(line, t, h)
             if spliced:
                 _follow_pieces(line, t, h)
-            if not _simple_step(line, t, h, pace, counted):
+            # Without gear play and a sticking roller an event shows in the speeds at the step's end.
+            may_step = pace != lay.PLAY
+            for i in range(line.n):
+                may_step &= not (motion.sticks(line, i) or motion.is_at_stop(line, i))
+            if may_step and pace == lay.PLAIN and counted:
+                motion.integrate(line, t, h, True)
+            elif may_step and pace == lay.PLAIN:
+                motion.integrate_plain(line, t, h)
+            elif may_step:
+                motion.integrate_any(line, t, h)
+            if may_step and events.still_slides(line):
+                motion.accept(line)
+            else:
                 events.step_with_events(line, t, h)
         line.s[lay.S_COUNT] += 1.0
         for j in range(m):
@@ -136,12 +129,6 @@ def _fed_forward_Nm(line: LineArrays, j: int) -> float:
     return laws.fed_forward_N(axis, motor, mass, speed, acceleration, direction) / motor.rad_per_m
 
 
-@inlined
-def _set_blur(line: LineArrays, h: float) -> None:
-    """Set the blur length of pieces' ends in a step of length h."""
-    records.call(line).blur_m = max(abs(line.w[line.n]) * h, lay.LEAST_BLUR_M)
-
-
 @compiled
 def _follow_pieces(line: LineArrays, t: float, h: float) -> None:
     """Update pieces of other web for a step from t on: a pending one may come in, passed ones are dropped."""
@@ -153,7 +140,7 @@ def _follow_pieces(line: LineArrays, t: float, h: float) -> None:
     for j in range(line.k):
         web_m += w[4 * n + j]
     splice_laws.forget_passed(pieces, travel, strain_prev, web_m)
-    _set_blur(line, h)
+    records.call(line).blur_m = max(abs(w[n]) * h, lay.LEAST_BLUR_M)
 
 
 @compiled
@@ -215,21 +202,23 @@ def enter(line: LineArrays) -> None:
     for i in range(n):
         axis = records.axis(line, i)
         reports |= motors.is_any(axis.inertia_step, 1)
-        if laws.twists(axis):
+        if axis.resonance.inertia_share != 0.0:
             substeps = max(substeps, laws.swing_steps(axis, period))
-        if laws.has_gap(axis):
+        if axis.backlash.gap_rad > 0.0:
             pace = lay.PLAY
-        elif laws.has_rare_force(axis, records.motor(line, i)):
+        rare = axis.unbalance.amplitude_Nm != 0.0 or axis.unbalance_Nm != 0.0 or axis.resonance.inertia_share != 0.0
+        rare |= axis.quadratic_drag.coefficient_N_s2_per_m2 != 0.0
+        ripples = motors.is_any(records.motor(line, i).torque_ripple_load, 0)
+        rare |= axis.load_dependent_friction.share != 0.0 or axis.reel_slope_per_m != 0.0 or n > k + 1 > 1
+        if rare or ripples:
             pace = max(pace, lay.RARE)
-    if k > 0 and (n > k + 1 or reels.is_reel(records.axis(line, 0)) or reels.is_reel(records.axis(line, k))):
-        pace = max(pace, lay.RARE)
     if k > 0 and splice_laws.has_splice(web, records.pieces(line)):
         pace = max(pace, lay.RARE)
-        _set_blur(line, period / substeps)
+        call.blur_m = max(abs(line.w[n]) * (period / substeps), lay.LEAST_BLUR_M)
     call.pace, call.substeps = pace, substeps
     for j in range(m):
         motor, part = records.motor(line, j), records.part(line, j)
-        reports |= laws.has_feed_forward(motor) or laws.has_encoder_error(motor)
+        reports |= laws.has_feed_forward(motor) or motor.encoder_error.amplitude_rad != 0.0
         part.kp = motor.kp * (1.0 + motor.drive_gain.kp_relative_change)
         part.ki = motor.ki * (1.0 + motor.drive_gain.ki_relative_change)
         part.current_s = laws.current_loop_s(motor)
@@ -251,7 +240,7 @@ def set_modes(line: LineArrays) -> None:
     for i in range(line.n):
         speed, mode, axis = line.s[lay.S_Y + line.n + i], records.mode(line, i), records.axis(line, i)
         mode.direction = 1.0 if speed > 0.0 else (-1.0 if speed < 0.0 else speed)
-        if not (laws.has_gap(axis) or laws.twists(axis)):
+        if not (axis.backlash.gap_rad > 0.0 or axis.resonance.inertia_share != 0.0):
             mode.contact = 0.0
             line.s[lay.S_Y + 3 * line.n + i] = speed
 
@@ -266,13 +255,18 @@ def _report_line(line: LineArrays, out: Vector, at: int) -> None:
         shaft, motor, drive = motion.shaft_of_motor(line, j), records.motor(line, j), records.drive(line, j)
         torque, ratio = drive.torque_Nm, motor.rad_per_m
         out[at + j], out[at + m + j] = w[shaft], w[shaft + n]
-        if call.reports != 0.0 and laws.has_encoder_error(motor):
-            x_rad, v_rad_s = laws.measured_motion(motor, w[shaft] * ratio, w[shaft + n] * ratio)
+        error = motor.encoder_error
+        if call.reports != 0.0 and error.amplitude_rad != 0.0:
+            turned = w[shaft] * ratio, w[shaft + n] * ratio
+            x_rad, v_rad_s = motors.measured_motion(error.amplitude_rad, error.phase_rad, *turned)
             out[at + j], out[at + m + j] = x_rad / ratio, v_rad_s / ratio
         if call.reports != 0.0 and laws.has_feed_forward(motor):
             torque -= _fed_forward_Nm(line, j)
-        past, count = records.past(line, j), int(line.s[lay.S_COUNT])
-        out[at + 2 * m + j] = laws.measured_torque_Nm(motor, torque, web.sample_time_s, line.s, past, count)
+        delay = motor.torque_delay.delay_s / web.sample_time_s
+        if delay > 0.0:
+            count = int(line.s[lay.S_COUNT])
+            torque = motors.past_torque_Nm(line.s, records.past(line, j), lay.RING, count, delay)
+        out[at + 2 * m + j] = torque + motor.torque_offset.offset_Nm
         out[at + 3 * m + 2 * k + j] = drive.mean_Nm + motor.torque_offset.offset_Nm
     for j in range(k):
         out[at + 3 * m + j] = records.part(line, j).tension_N

@@ -11,9 +11,7 @@ from math import cos, exp, pi, sin, sqrt
 from hilbench.compiled import Record, compiled, inlined, noinline
 from hilbench.plant import motor_laws as motors
 from hilbench.plant.motor_laws import Slots
-from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import records
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.records import LineArrays
 
 #: Width of the change of dry friction around standstill, m/s, for measured motion: a force computed from it must not
@@ -80,37 +78,15 @@ def dry_friction_N(axis: Record, v_m_s: float) -> float:
 
 
 @inlined
-def has_unbalance(axis: Record) -> bool:
-    """True if the roller has an unbalance."""
-    return axis.unbalance.amplitude_Nm != 0.0 or axis.unbalance_Nm != 0.0
-
-
-@inlined
 def unbalance_N(axis: Record, x_m: float) -> float:
     """Force at the web of a roller's unbalance: A·sin(phi + phi0)/r, forward, phi the angle of what is unbalanced."""
-    return _unbalance_N(axis, x_m) if has_unbalance(axis) else 0.0
-
-
-@compiled
-def _unbalance_N(axis: Record, x_m: float) -> float:
-    noinline()
+    if axis.unbalance.amplitude_Nm == 0.0 and axis.unbalance_Nm == 0.0:
+        return 0.0
     phi = x_m / axis.m_per_turned_rad
     torque_Nm = axis.unbalance.amplitude_Nm * sin(phi + axis.unbalance.phase_rad)
     if axis.unbalance_Nm != 0.0:
         torque_Nm += axis.unbalance_Nm * sin(phi + axis.unbalance_phase_rad)
     return torque_Nm / axis.radius_m
-
-
-@inlined
-def has_rare_force(axis: Record, motor: Record) -> bool:
-    """True if a force acts on axis or motor that the usual step leaves out for speed."""
-    return (
-        has_unbalance(axis)
-        or axis.quadratic_drag.coefficient_N_s2_per_m2 != 0.0
-        or axis.load_dependent_friction.share != 0.0
-        or twists(axis)
-        or motors.is_any(motor.torque_ripple_load, 0)
-    )
 
 
 @inlined
@@ -164,12 +140,6 @@ def mass_kg(axis: Record, t_s: float, sample_s: float) -> float:
 
 
 @inlined
-def twists(axis: Record) -> bool:
-    """True if a part of the moving mass is behind a twisting shaft."""
-    return axis.resonance.inertia_share != 0.0
-
-
-@inlined
 def acceleration_behind(axis: Record, twist: float, rate: float) -> float:
     """Acceleration of the load behind a twisted shaft: force of spring and damper by its mass.
 
@@ -184,18 +154,6 @@ def swing_steps(axis: Record, period_s: float) -> int:
     """Number of integration steps in a time, for both sides of a twisting shaft to oscillate correctly."""
     omega = 2.0 * pi * axis.resonance.frequency_Hz / sqrt(1.0 - axis.resonance.inertia_share)
     return 1 + int(omega * period_s / _SWING_STEP)
-
-
-@inlined
-def half_gap_m(axis: Record, motor: Record) -> float:
-    """Half the gear play, at the web."""
-    return 0.5 * axis.backlash.gap_rad / motor.rad_per_m
-
-
-@inlined
-def has_gap(axis: Record) -> bool:
-    """True if the gear has play."""
-    return axis.backlash.gap_rad > 0.0
 
 
 @inlined
@@ -238,31 +196,9 @@ def fed_forward_N(axis: Record, motor: Record, mass_kg: float, v_m_s: float, a_m
 
 
 @inlined
-def has_encoder_error(motor: Record) -> bool:
-    """True if the encoder has an error once per turn."""
-    return motor.encoder_error.amplitude_rad != 0.0
-
-
-@inlined
-def measured_motion(motor: Record, angle_rad: float, rad_s: float) -> tuple[float, float]:
-    """Angle and speed of a motor as measured by its encoder."""
-    error = motor.encoder_error
-    return motors.measured_motion(error.amplitude_rad, error.phase_rad, angle_rad, rad_s)
-
-
-@inlined
 def current_loop_s(motor: Record) -> float:
     """Time constant of the current loop."""
     return max(motor.current_s + motor.drive_lag.lag_s, 0.0)
-
-
-@inlined
-def measured_torque_Nm(motor: Record, torque_Nm: float, sample_s: float, s: Vector, past: int, count: int) -> float:
-    """Torque as the drive reports it: `s` holds the torque of sample k at `past` + k % RING; linear between."""
-    delay = motor.torque_delay.delay_s / sample_s
-    if delay > 0.0:
-        torque_Nm = motors.past_torque_Nm(s, past, lay.RING, count, delay)
-    return torque_Nm + motor.torque_offset.offset_Nm
 
 
 @inlined

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, compiled, entry_point, record_type
 from hilbench.compiled import records as array_of
 from hilbench.plant.measured_motion import MotionVectors, ahead_s, elapsed_s, publish, take
-from hilbench.plant.web_line import kernel, line_kernel, line_vectors, records
+from hilbench.plant.web_line import kernel, line_kernel, line_vectors, records, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.line_kernel import FollowedLine
 
@@ -75,24 +75,6 @@ def _pull(loaded: LoadedLine, lead_s: float) -> None:
     line_kernel.put_moduli(line, loaded.moduli, 0)
 
 
-@compiled
-def _show(cycle: LineCycle) -> None:
-    """Write the outputs in the order of the follower's description."""
-    line, shown, at = line_vectors.arrays(cycle.loaded.of.line), cycle.shown, 0
-    for column in cycle.columns:
-        shown[at] = cycle.loaded.of.line.out[column]
-        at += 1
-    for state in cycle.states:
-        shown[at] = line.s[lay.S_Y + state]
-        at += 1
-    for row in cycle.reels:
-        shown[at] = records.axis(line, row).radius_m * line_kernel.ratio(line, row)
-        at += 1
-    for modulus_Pa in cycle.loaded.moduli:
-        shown[at] = modulus_Pa
-        at += 1
-
-
 #: follow(what, table of a `LineCycle`, or, only to pull, a `LoadedLine`): as of `measured_motion.InStep`.
 @entry_point(COUNT, TABLE, allocates=False)
 def follow(what: int, table: Table) -> int:
@@ -112,6 +94,19 @@ def follow(what: int, table: Table) -> int:
     line_kernel.follow_to(line, loaded.of, motion.positions, cycle.further, duration_s)
     kernel.look(*loaded.of.line)
     _pull(loaded, ahead_s(motion.state))
-    _show(cycle)
+    shown, place = cycle.shown, 0
+    for column in cycle.columns:
+        shown[place] = loaded.of.line.out[column]
+        place += 1
+    for state in cycle.states:
+        shown[place] = line.s[lay.S_Y + state]
+        place += 1
+    for row in cycle.reels:
+        axis = records.axis(line, row)
+        shown[place] = axis.radius_m * reels.radius_ratio(axis, line.s[lay.S_Y + row])
+        place += 1
+    for modulus_Pa in loaded.moduli:
+        shown[place] = modulus_Pa
+        place += 1
     publish(values, at[2 * len(motion.positions) :], loaded.torques, cycle.shown)
     return FOLLOWED

@@ -12,7 +12,7 @@ from math import sin
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, Record, entry_point, inlined
+from hilbench.compiled import MATRIX, REAL, VECTOR, entry_point
 from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.sampling import on_all_cores
 from hilbench.plant.web_line import laws, motion, records, splice_laws
@@ -22,15 +22,6 @@ from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
-
-
-@inlined
-def _eccentric_travel_m(axis: Record, x_m: float, end_m: float) -> float:
-    """Web travel in excess of the roller's from x to the end by eccentricity: `laws.web_speed_m_s` integrated."""
-    off, radius = axis.roller_eccentricity, axis.radius_m
-    if off.amplitude_m == 0.0:
-        return 0.0
-    return off.amplitude_m * (sin(end_m / radius + off.phase_rad) - sin(x_m / radius + off.phase_rad))
 
 
 @entry_point(VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX, REAL, MATRIX, MATRIX, MATRIX)
@@ -87,8 +78,11 @@ def _required_torques(
             break
         # To the next row by Heun's rule, with the web's travel instead of speeds: it is exact, whatever the period.
         for i in range(n):
-            gone = xs[row + 1, i] - xs[row, i] + _eccentric_travel_m(records.axis(line, i), xs[row, i], xs[row + 1, i])
-            records.part(line, i).speed_m_s = gone / period_s
+            x, end, off, gone = xs[row, i], xs[row + 1, i], records.axis(line, i).roller_eccentricity, 0.0
+            if off.amplitude_m != 0.0:  # `laws.web_speed_m_s` integrated
+                radius = records.axis(line, i).radius_m
+                gone = off.amplitude_m * (sin(end / radius + off.phase_rad) - sin(x / radius + off.phase_rad))
+            records.part(line, i).speed_m_s = (end - x + gone) / period_s
         begin[:] = w[material : material + k]
         motion.span_rates(line, t, strain_prev, material, xs[row, 0])
         for j in range(k):

@@ -158,17 +158,11 @@ def predict(line: LineArrays, guess: LineArrays, of: FollowedLine, lead_s: float
     turn(guess, of.rows, of.rollers, of.history, lead_s)
 
 
-@inlined
-def ratio(line: LineArrays, row: int) -> float:
-    """Radius of a reel over that at the start; 1 of another roller."""
-    axis = records.axis(line, row)
-    return reels.radius_ratio(axis, line.s[lay.S_Y + row]) if reels.is_reel(axis) else 1.0
-
-
 @compiled
 def web_force_N(line: LineArrays, seen: Vector, row: int) -> float:
     """Force of the web on a driven roller, N forward, at its nominal radius, by the tensions in `seen`."""
-    reel, first, before, behind = reels.is_reel(records.axis(line, row)), 3 * line.m, 0.0, 0.0
+    axis, first, before, behind = records.axis(line, row), 3 * line.m, 0.0, 0.0
+    reel = axis.reel_slope_per_m != 0.0
     if row > 0:
         before = seen[first + row - 1]
     elif not reel:
@@ -177,7 +171,7 @@ def web_force_N(line: LineArrays, seen: Vector, row: int) -> float:
         behind = seen[first + row]
     elif not reel:
         behind = records.boundary(line).F_next_N
-    return float((behind - before) * ratio(line, row))
+    return float((behind - before) * reels.radius_ratio(axis, line.s[lay.S_Y + row]))
 
 
 @compiled
@@ -228,7 +222,8 @@ def follow(duration_s: float, restores: int, lines: int, table: Table) -> int:
             motions[f, j] = line.s[lay.S_Y + j]
         if f == 0:
             for i in range(len(of.rows)):
-                copies.ratios[i] = ratio(line, of.rows[i])
+                axis, x = records.axis(line, of.rows[i]), line.s[lay.S_Y + of.rows[i]]
+                copies.ratios[i] = reels.radius_ratio(axis, x)
     return 0
 
 

@@ -56,12 +56,6 @@ def show(line: LineVectors) -> None:
 
 
 @inlined
-def reports(line: LineVectors) -> bool:
-    """True if drives report other values than their motion and torque, possibly depending on the strain."""
-    return records.call(arrays(line)).reports != 0.0
-
-
-@inlined
 def tension_N(line: LineVectors, span: int) -> float:
     """Tension of a span (from 0), as last observed."""
     return line.out[3 * arrays(line).m + span]
@@ -72,12 +66,6 @@ def strain(line: LineVectors, span: int) -> float:
     """Strain of a span (from 0), as last observed."""
     of = arrays(line)
     return float(line.out[3 * of.m + of.k + span])
-
-
-@inlined
-def tension_behind_N(line: LineVectors, span: int, F_next_N: float) -> float:
-    """Tension after a span (from 0): that of the next one, as last observed; after the last one `F_next_N`."""
-    return tension_N(line, span + 1) if span + 1 < arrays(line).k else F_next_N
 
 
 @inlined

@@ -5,7 +5,7 @@ Arguments as in `hilbench.plant.web_line.kernel`.
 
 from __future__ import annotations
 
-from hilbench.compiled import Record, compiled, inlined, merged, noinline
+from hilbench.compiled import compiled, inlined, merged, noinline
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.web_line import carriages, laws, records, reels, splice_laws
 from hilbench.plant.web_line import layout as lay
@@ -50,13 +50,16 @@ def _put_rates_of_stations(line: LineArrays, y: int) -> None:
     """Apply reels to the web's speeds, and carriages to the rates of the lengths."""
     n, m, k = line.n, line.m, line.k
     for i in (0, k):
-        if reels.is_reel(records.axis(line, i)):
+        if records.axis(line, i).reel_slope_per_m != 0.0:
             records.part(line, i).speed_m_s *= reels.radius_ratio(records.axis(line, i), line.w[y + i])
     if n > k + 1:
         for j in range(k):
             records.part(line, j).length_rate_m_s = line.u[lay.U_MOTORS + m * lay.UM_SIZE + j]
         for i in range(k + 1, n):
-            carriages.add_length_rates(line, records.axis(line, i), line.w[y + i], line.w[y + n + i])
+            axis = records.axis(line, i)
+            rate = carriages.gain(axis, line.w[y + i]) * line.w[y + n + i]
+            for j in range(int(axis.first_span), int(axis.last_span) + 1):
+                records.part(line, j).length_rate_m_s += rate
 
 
 @inlined
@@ -67,7 +70,7 @@ def shaft_of_motor(line: LineArrays, j: int) -> int:
     in place of the motor's side, is a part of the load.
     """
     if j < line.n:
-        return j if laws.twists(records.axis(line, j)) else 2 * line.n + j
+        return j if records.axis(line, j).resonance.inertia_share != 0.0 else 2 * line.n + j
     return int(records.motor(line, j).axis)
 
 
@@ -88,7 +91,7 @@ def set_masses(line: LineArrays, t: float) -> None:
         factor = laws.inertia_factor_at(axis, t, records.web(line).sample_time_s)
         motor_kg, roller_kg = axis.motor_mass_kg * factor, axis.roller_mass_kg * factor
         moved_kg = motor_kg + roller_kg
-        if laws.twists(axis):
+        if axis.resonance.inertia_share != 0.0:
             roller_kg = axis.resonance.inertia_share * moved_kg
             moved_kg -= roller_kg
         part.per_kg, part.per_roller_kg, part.per_motor_kg = 1.0 / moved_kg, 1.0 / roller_kg, 1.0 / motor_kg
@@ -107,8 +110,11 @@ def web_force_N(line: LineArrays, i: int, y: int, strain_prev: float, slides: bo
         return 0.0
     if not slides:
         if carriages.is_carriage(line, i):
-            return carriages.web_force_N(line, axis, line.w[y + i])
-        if reels.is_reel(axis):
+            total = 0.0
+            for j in range(int(axis.first_span), int(axis.last_span) + 1):
+                total += records.part(line, j).tension_N
+            return -carriages.gain(axis, line.w[y + i]) * total
+        if axis.reel_slope_per_m != 0.0:
             pull_N = records.part(line, 0).tension_N if i == 0 else -records.part(line, line.k - 1).tension_N
             return reels.radius_ratio(axis, line.w[y + i]) * pull_N
     before = records.part(line, i - 1).tension_N if i > 0 else strain_prev * records.web(line).upstream_stiffness_N
@@ -134,8 +140,8 @@ def own_force_N(line: LineArrays, i: int, y: int, slides: bool) -> float:
         force -= laws.drag_N(axis, v)
         force += laws.unbalance_N(axis, x)
         if carriages.is_carriage(line, i):
-            force += carriages.force_N(axis, x)
-        if laws.twists(axis):
+            force += axis.force_N - axis.spring_N_per_m * (x - axis.spring_rest_m)
+        if axis.resonance.inertia_share != 0.0:
             force -= acceleration_behind_m_s2(line, i, y) / records.part(line, i).per_roller_kg
     for j in range(line.n, line.m):  # load motors; of a line without any, the loop is not compiled
         if records.motor(line, j).axis == i:
@@ -146,7 +152,7 @@ def own_force_N(line: LineArrays, i: int, y: int, slides: bool) -> float:
 @inlined
 def is_apart(line: LineArrays, i: int) -> bool:
     """True if the motor of axis i moves within its gear play."""
-    return laws.has_gap(records.axis(line, i)) and records.mode(line, i).contact == 0.0
+    return records.axis(line, i).backlash.gap_rad > 0.0 and records.mode(line, i).contact == 0.0
 
 
 @inlined
@@ -159,7 +165,7 @@ def is_at_stop(line: LineArrays, i: int) -> bool:
 def per_kg(line: LineArrays, i: int, y: int) -> float:
     """Inverse mass of roller and motor i as one, of a reel with the web on it."""
     axis = records.axis(line, i)
-    if reels.is_reel(axis):
+    if axis.reel_slope_per_m != 0.0:
         return 1.0 / (reels.mass_kg(axis, line.w[y + i]) * (1.0 + axis.inertia_mismatch.relative_change))
     return records.part(line, i).per_kg
 
@@ -214,7 +220,7 @@ def _go_axis(line: LineArrays, i: int, strain_prev: float, weight: float, ahead:
         _go(line, 2 * n + i, v, weight, ahead)
         _go(line, 3 * n + i, 0.0, weight, ahead)
         return
-    twists = not slides and laws.twists(axis)
+    twists = not slides and axis.resonance.inertia_share != 0.0
     drive = motor_force_N(line, i, line.w[y + (i if twists else 2 * n + i)], slides)
     own, pull = own_force_N(line, i, y, slides), web_force_N(line, i, y, strain_prev, slides)
     apart = not slides and is_apart(line, i)
@@ -258,12 +264,6 @@ def torques_now(line: LineArrays) -> None:
         records.part(line, j).torque_Nm = records.drive(line, j).torque_Nm
 
 
-@inlined
-def _torque_after(drive: Record, decay: float) -> float:
-    """Torque at a `decay` of its distance to the command, exact for the held one."""
-    return loops.torque_after(drive.torque_Nm, drive.command_Nm, decay)
-
-
 @compiled
 def set_decays(line: LineArrays, h: float) -> None:
     """Decays of the current loops for steps of length h."""
@@ -290,11 +290,13 @@ def integrate(line: LineArrays, t: float, h: float, slides: bool) -> None:
     torques_now(line)
     _stage(line, t, 1.0, 0.5 * h, slides)
     for j in range(line.m):
-        records.part(line, j).torque_Nm = _torque_after(records.drive(line, j), records.part(line, j).decay_half)
+        drive, part = records.drive(line, j), records.part(line, j)
+        part.torque_Nm = loops.torque_after(drive.torque_Nm, drive.command_Nm, part.decay_half)
     _stage(line, t + 0.5 * h, 2.0, 0.5 * h, slides)
     _stage(line, t + 0.5 * h, 2.0, h, slides)
     for j in range(line.m):
-        records.part(line, j).torque_Nm = _torque_after(records.drive(line, j), records.part(line, j).decay_full)
+        drive, part = records.drive(line, j), records.part(line, j)
+        part.torque_Nm = loops.torque_after(drive.torque_Nm, drive.command_Nm, part.decay_full)
     _stage(line, t + h, 1.0, h, slides)
     for j in range(size):
         w[size + j] = w[j] + h / 6.0 * w[2 * size + j]

@@ -85,20 +85,16 @@ def mode(line: LineArrays, i: int) -> Record:
 
 
 @inlined
-def _first_drive(line: LineArrays) -> int:
-    return lay.S_Y + 4 * line.n + 2 * line.k + line.n * lay.MODE_SIZE
-
-
-@inlined
 def drive(line: LineArrays, j: int) -> Record:
     """`DRIVE` of motor j."""
-    return record_in(line.s, _first_drive(line) + j * lay.DRIVE_SIZE, DRIVE)
+    first = lay.S_Y + (4 + lay.MODE_SIZE) * line.n + 2 * line.k
+    return record_in(line.s, first + j * lay.DRIVE_SIZE, DRIVE)
 
 
 @inlined
 def past(line: LineArrays, j: int) -> int:
     """Offset of the past torques of motor j in the state."""
-    return _first_drive(line) + line.m * lay.DRIVE_SIZE + j * lay.RING
+    return lay.S_Y + (4 + lay.MODE_SIZE) * line.n + 2 * line.k + line.m * lay.DRIVE_SIZE + j * lay.RING
 
 
 @inlined

@@ -12,21 +12,15 @@ from hilbench.compiled import Record, inlined
 
 
 @inlined
-def is_reel(axis: Record) -> bool:
-    """True if a roller is a reel."""
-    return axis.reel_slope_per_m != 0.0
-
-
-@inlined
 def radius_ratio(axis: Record, x_m: float) -> float:
-    """Radius of a reel over that at the start, at x; not below that of the core."""
+    """Radius over that at the start, at x, of a reel not below that of the core; 1 of another roller."""
     return max(1.0 + axis.radius_share + axis.reel_slope_per_m * x_m, axis.core_ratio)
 
 
 @inlined
 def web_travel_m(axis: Record, x_m: float) -> float:
     """Travel of the web since the start, m, of a roller at x: of a reel the integral of its radius ratio."""
-    return x_m * (1.0 + axis.radius_share + 0.5 * axis.reel_slope_per_m * x_m) if is_reel(axis) else x_m
+    return x_m * (1.0 + axis.radius_share + 0.5 * axis.reel_slope_per_m * x_m) if axis.reel_slope_per_m != 0.0 else x_m
 
 
 @inlined

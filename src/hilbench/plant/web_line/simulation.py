@@ -72,18 +72,6 @@ class WebLoad(NamedTuple):
 
 
 @compiled
-def _begin(rig: LineArrays, load: WebLoad, line: LineArrays) -> None:
-    """Begin a recording; the load motors of a line that runs already have torque."""
-    load.history.known = load.history.duration_s = 0.0
-    for i in range(rig.n):
-        load.rollers[i].mean_m_s = load.rollers[i].a_m_s2 = load.loads[i] = 0.0
-    for j in range(rig.n, rig.m):
-        load.loads[int(records.motor(rig, j).axis)] = records.drive(rig, j).torque_Nm
-    for j in range(len(load.pushed)):
-        load.more[j] = records.axis(line, load.pushed[j]).force_N - load.bases[j]
-
-
-@compiled
 def _emulate_web(rig: LineArrays, load: WebLoad, b: int, row: int, out: Vector, at: int) -> None:
     """Cycle of line b on a rig, whose report is in `out` from `at` on; behind it tensions and strains, and sensors."""
     of = FollowedLine(
@@ -92,7 +80,13 @@ def _emulate_web(rig: LineArrays, load: WebLoad, b: int, row: int, out: Vector, 
     line, guess, before = line_vectors.arrays(of.line), load.guess, max(row - 1, 0)
     around, sample_s, times = records.boundary(line), load.history.sample_s, load.times
     if row == 0:
-        _begin(rig, load, line)
+        load.history.known = load.history.duration_s = 0.0
+        for i in range(rig.n):
+            load.rollers[i].mean_m_s = load.rollers[i].a_m_s2 = load.loads[i] = 0.0
+        for j in range(rig.n, rig.m):  # of a line that runs
+            load.loads[int(records.motor(rig, j).axis)] = records.drive(rig, j).torque_Nm
+        for j in range(len(load.pushed)):
+            load.more[j] = records.axis(line, load.pushed[j]).force_N - load.bases[j]
     around.strain_prev, around.F_next_N = load.boundary[before, 0], load.boundary[before, 1]
     if row > 0:
         for j in range(len(load.pushed)):
@@ -106,7 +100,7 @@ def _emulate_web(rig: LineArrays, load: WebLoad, b: int, row: int, out: Vector, 
         out[at + j] = load.seen[3 * line.m + j]
     for j in range(len(load.sensors)):
         axis, x = records.axis(line, load.sensors[j]), line.s[lay.S_Y + load.sensors[j]]
-        out[at + 2 * line.k + j] = axis.radius_m * reels.radius_ratio(axis, x) if reels.is_reel(axis) else x
+        out[at + 2 * line.k + j] = axis.radius_m * reels.radius_ratio(axis, x) if axis.reel_slope_per_m != 0.0 else x
     around.strain_prev, around.F_next_N = load.boundary[row, 0], load.boundary[row, 1]
     for j in range(len(guess)):
         guess[j] = line.s[j]
