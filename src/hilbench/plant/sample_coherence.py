@@ -55,7 +55,7 @@ def coherence_state(rollers: int) -> Vector:
     return state
 
 
-@compiled
+@entry_point(VECTOR, VECTOR, REAL, allocates=False)
 def coherent(state: Vector, positions: Vector, least_travel: float) -> bool:
     """True if positions (N,) are of one instant; see `SampleCoherence`."""
     c, last = record_in(state, 0, COHERENCE), state[_LAST:]
@@ -114,7 +114,7 @@ def _fits(travels: Vector, usual: Vector, plays: Vector, elapsed: float, fastest
     return fits
 
 
-@compiled
+@entry_point(VECTOR, VECTOR, VECTOR, REAL, allocates=False)
 def whole_cycles(travels: Vector, usual: Vector, plays: Vector, reported: float) -> float:
     """Compiled `cycles_elapsed`; -1 where they disagree."""
     fastest = 0
@@ -152,7 +152,7 @@ def miss_own(state: Vector) -> None:
     own.behind += 1.0
 
 
-@compiled
+@entry_point(VECTOR, VECTOR, allocates=False)
 def own_travels(state: Vector, positions: Vector) -> bool:
     """True if positions (N,) are of one instant; see `OwnIncrements`."""
     miss_own(state)
@@ -187,21 +187,6 @@ def own_travels(state: Vector, positions: Vector) -> bool:
 def forget_own_travels(state: Vector) -> None:
     """Accept the next positions unchecked."""
     state[:_OF_AXES] = 0.0
-
-
-@entry_point(VECTOR, VECTOR, REAL)
-def _coherent(state: Vector, positions: Vector, least_travel: float) -> bool:
-    return coherent(state, positions, least_travel)
-
-
-@entry_point(VECTOR, VECTOR)
-def _own_travels(state: Vector, positions: Vector) -> bool:
-    return own_travels(state, positions)
-
-
-@entry_point(VECTOR, VECTOR, VECTOR, REAL)
-def _whole_cycles(travels: Vector, usual: Vector, plays: Vector, reported: float) -> float:
-    return whole_cycles(travels, usual, plays, reported)
 
 
 _increments_steadily = interpreted(increments_steadily)
@@ -244,7 +229,7 @@ class SampleCoherence:
         """True if this cycle's positions of all rollers, in m at the web, are of one instant."""
         self.vectors(len(positions_m))
         pack_into(self._format, self._positions.data, 0, *positions_m)
-        return _coherent(self._state, self._positions, self._least_travel)
+        return coherent(self._state, self._positions, self._least_travel)
 
 
 class IncrementCheck:
@@ -304,7 +289,7 @@ class OwnIncrements:
     def update(self, *positions: float) -> bool:
         """True if this cycle's positions of all axes, in the machine's unit, are of one instant."""
         self._positions[:] = positions
-        return _own_travels(self._state, self._positions)
+        return own_travels(self._state, self._positions)
 
 
 def play(position_unit: str, cycle_s: float) -> float:
@@ -322,5 +307,5 @@ def cycles_elapsed(
     reported: number of cycles by some clock. Axes that are too slow to show it count as by the clock, unless they can't
     have come so far in that time. None where they disagree, or the travel is none of whole cycles.
     """
-    found = _whole_cycles(np.array(travels), np.array(usual), np.array(plays), float(reported))
+    found = whole_cycles(np.array(travels), np.array(usual), np.array(plays), float(reported))
     return None if found < 0.0 else int(found)

@@ -22,7 +22,7 @@ def silence(motors: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def chained_with_noise(
-    function: Function, argument: int, vectors: Sequence[NDArray[Any]], noise: SensorNoise | None
+    function: Function, argument: int, vectors: Sequence[Any], noise: SensorNoise | None
 ) -> CompiledStage:
     """Compiled stage of a step, by a function that takes the next row, and does nothing where there is none."""
     table = table_of(vectors)

@@ -118,7 +118,7 @@ def _follow_to(balance: BalanceVectors, x1_m: float, x2_m: float, duration_s: fl
     line_kernel.set_speed(line, 0, v1_m_s * leaving)
     line_kernel.set_speed(line, 1, v2_m_s)
     line_kernel.roll_on(line, duration_s, records.web(line).sample_time_s, line_kernel.LONGEST_STEP_S)
-    kernel.look(*balance.web)
+    kernel.observe(*balance.web)
     line_kernel.set_speed(line, 0, v1_m_s)
     line_kernel.set_position(line, 0, x1_m)  # exactly: no drift from adding up
     line_kernel.set_position(line, 1, x2_m)
@@ -142,7 +142,7 @@ def _put_boundary(
     around.F_next_N = f_next_N if f_next_N != 0.0 else strain_next
     records.web(line).downstream_stiffness_N = f_next_N / strain_next if f_next_N != 0.0 else 1.0
     if changed:
-        kernel.look(*balance.web)
+        kernel.observe(*balance.web)
 
 
 @compiled

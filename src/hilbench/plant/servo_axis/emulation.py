@@ -122,8 +122,8 @@ class EmulatedShaft:
         machine, law, size = self._machine.vectors, np.zeros(LAW.itemsize // 8), (ORDER, ORDER)
         record_at(law, LAW).most_rad_s2, record_at(law, LAW).cycle_s = most_rad_s2(real), cycle_s
         motion, forward, gain = self._filter.motion, transition(cycle_s), gains(cycle_s, self._filter.filter_s)
-        emulated = machine.p[np.newaxis]
-        self.load = ShaftLoad(emulated, machine.u, np.zeros(1), self._real, motion, law, np.zeros(size), forward, gain)
+        shaft = machine.p[np.newaxis]
+        self.load = ShaftLoad(shaft, machine.u, np.zeros(1), self._real, motion, law, np.zeros(size), forward, gain)
         self._table = table_of(self.load)
         self._stale = True  # something was changed since the last step
 

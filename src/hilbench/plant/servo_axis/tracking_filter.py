@@ -12,7 +12,7 @@ from math import exp, factorial
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, entry_point, interpreted
+from hilbench.compiled import interpreted
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.shaft_load import follow, later
 
@@ -20,11 +20,6 @@ Matrix = NDArray[np.float64]
 
 #: Position, speed, acceleration, jerk.
 ORDER = 4
-
-
-@entry_point(VECTOR, MATRIX, VECTOR, REAL)
-def _follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
-    follow(motion, forward, gain, position_rad)
 
 
 _later = interpreted(later)
@@ -69,7 +64,7 @@ class TrackingFilter:
 
     def update(self, position_rad: float, duration_s: float) -> None:
         """Update by a position, `duration_s` after the previous one."""
-        _follow(self.motion, transition(duration_s), gains(duration_s, self.filter_s), position_rad)
+        follow(self.motion, transition(duration_s), gains(duration_s, self.filter_s), position_rad)
 
     def predicted(self, lead_s: float) -> Vector:
         """Motion (4,) predicted `lead_s` ahead, with constant jerk."""

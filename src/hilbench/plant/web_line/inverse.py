@@ -51,7 +51,7 @@ def reported_torque_Nm(
     torque = (force / ratio - laws.ripple_Nm(motor, x * ratio)) / (1.0 + motor.torque_scale.relative_change)
     torque /= laws.load_ripple_factor(motor, x * ratio)
     fed_forward = laws.fed_forward_N(axis, motor, mass, v, a, direction) / ratio
-    return torque - fed_forward + motor.torque_offset.offset_Nm
+    return float(torque - fed_forward + motor.torque_offset.offset_Nm)
 
 
 @inlined

@@ -288,8 +288,14 @@ def report(line: LineArrays, out: Vector, at: int) -> None:
         _report_any(line, out, at)
 
 
-@compiled
-def run(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+@inlined
+def columns(line: LineArrays) -> int:
+    """Columns of a row of `report`."""
+    return 4 * line.m + 2 * line.k
+
+
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, COUNT, allocates=False)
+def advance(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
     """Advance a line by `samples` drive samples."""
     line = records.line_of(p, s, u, w)
     enter(line)
@@ -297,27 +303,9 @@ def run(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
     leave(line)
 
 
-@compiled
-def look(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector) -> None:
-    """Write measured and true values now to `out`."""
+@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, allocates=False)
+def observe(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector) -> None:
+    """Write measured motion and torque, tension and strain now to `out` (`Layout.columns`)."""
     line = records.line_of(p, s, u, w)
     enter(line)
     report(line, out, 0)
-
-
-@inlined
-def columns(line: LineArrays) -> int:
-    """Columns of a row of `report`."""
-    return 4 * line.m + 2 * line.k
-
-
-#: advance(parameters, state, inputs, work, samples): `samples` drive sample times onwards, state changed in place.
-#: observe(parameters, state, inputs, work, out): measured motion and torque, tension, strain (`Layout.columns`).
-@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, COUNT, allocates=False)
-def advance(p: Vector, s: Vector, u: Vector, work: Vector, samples: int) -> None:
-    run(p, s, u, work, samples)
-
-
-@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, allocates=False)
-def observe(p: Vector, s: Vector, u: Vector, work: Vector, out: Vector) -> None:
-    look(p, s, u, work, out)

@@ -30,7 +30,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hilbench.compiled import record_at, record_type
-from hilbench.plant.drive_loops import DRIVE, DRIVE_INPUT
+from hilbench.plant.drive_loops import DRIVE as DRIVE
+from hilbench.plant.drive_loops import DRIVE_INPUT as DRIVE_INPUT
 from hilbench.plant.effect import Domain, Effect, MachineKind, Section
 from hilbench.plant.effects import EFFECTS, find_effect
 from hilbench.plant.motor_port import MotorMode

@@ -66,7 +66,7 @@ def _pull(loaded: LoadedLine, lead_s: float) -> None:
         guess[j] = line.s[j]
     if lead_s > 0.0:
         line_kernel.predict(line, ahead, of, lead_s)
-    kernel.look(line.p, guess, line.u, line.w, loaded.ahead)
+    kernel.observe(line.p, guess, line.u, line.w, loaded.ahead)
     for j in range(len(loaded.torques)):
         load, i = loaded.loads[j], int(loaded.loads[j].roller)
         loaded.torques[j] = line_kernel.web_torque_Nm(
@@ -92,7 +92,7 @@ def follow(what: int, table: Table) -> int:
         return NOTHING
     line = line_vectors.arrays(loaded.of.line)
     line_kernel.follow_to(line, loaded.of, motion.positions, cycle.further, duration_s)
-    kernel.look(*loaded.of.line)
+    kernel.observe(*loaded.of.line)
     _pull(loaded, ahead_s(motion.state))
     shown, place = cycle.shown, 0
     for column in cycle.columns:

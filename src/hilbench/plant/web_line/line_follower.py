@@ -254,7 +254,7 @@ class LineFollower(Line):
         return self._torn_Pa is not None
 
     @property
-    def places_of_outputs(self) -> tuple[NDArray[np.int64], ...]:
+    def places_of_outputs(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """Indices of the described outputs: in the kernel's report; in the integrated quantities; rows of the reels,
         whose radii follow, and then E of the spans."""
         reels = [row for row, roller in enumerate(self.parameters.line_rollers) if isinstance(roller.station, Reel)]
@@ -347,9 +347,10 @@ class LineInStep(CompiledInStep):
 
     def __init__(self, line: LineFollower, motion: MeasuredMotion, axes: Sequence[int]) -> None:
         self._line = line
-        loaded, nothing = line.loaded(tuple(axes))[0], (np.zeros(0), np.zeros(0, np.int64))
-        further, shown = np.zeros(len(line.driven_rows)), np.zeros(len(line.describe().outputs))
-        arrays = LineCycle(loaded, motion.vectors, further, *line.places_of_outputs, shown, *nothing)
+        loaded, further = line.loaded(tuple(axes))[0], np.zeros(len(line.driven_rows))
+        shown, values, at = np.zeros(len(line.describe().outputs)), np.zeros(0), np.zeros(0, np.int64)
+        columns, states, reels = line.places_of_outputs
+        arrays = LineCycle(loaded, motion.vectors, further, columns, states, reels, shown, values, at)
         super().__init__(line_cycle.follow, line_cycle.FOLLOWED, loaded.torques, arrays)
 
     @property

@@ -110,7 +110,7 @@ def roll_on(line: LineArrays, duration_s: float, sample_s: float, step_s: float)
     web.sample_time_s = duration_s / samples
     web.substeps = np.ceil(duration_s / samples / step_s - 1e-9)
     s[lay.S_COUNT] = time_s / web.sample_time_s
-    kernel.run(line.p, line.s, line.u, line.w, samples)
+    kernel.advance(line.p, line.s, line.u, line.w, samples)
     s[lay.S_COUNT] = (time_s + duration_s) / sample_s
     web.sample_time_s = sample_s
 
@@ -215,7 +215,7 @@ def follow(duration_s: float, restores: int, lines: int, table: Table) -> int:
             kernel.set_modes(line)
         if duration_s > 0.0:
             follow_to(line, of, copies.x, copies.offsets[f], duration_s)
-        kernel.look(*of.line)
+        kernel.observe(*of.line)
         for j in range(line.k):
             copies.tensions[f, j] = out[3 * line.m + j]
         for j in range(motions.shape[1]):
@@ -239,6 +239,6 @@ def follow_rows(table: Table, x: Matrix, further: Vector, boundary: Matrix, cycl
         around.strain_prev, around.F_next_N = boundary[before, 0], boundary[before, 1]
         if row > 0:
             follow_to(line, of, x[row], further, cycle_s)
-        kernel.look(*of.line)
+        kernel.observe(*of.line)
         for j in range(tensions.shape[1]):
             tensions[row, j] = of.line.out[3 * line.m + j]

@@ -52,13 +52,13 @@ def show(line: LineVectors) -> None:
     """Update measured values after a change of the state; friction and gear contact follow the motion."""
     of = arrays(line)
     kernel.set_modes(of)
-    kernel.look(*line)
+    kernel.observe(*line)
 
 
 @inlined
 def tension_N(line: LineVectors, span: int) -> float:
     """Tension of a span (from 0), as last observed."""
-    return line.out[3 * arrays(line).m + span]
+    return float(line.out[3 * arrays(line).m + span])
 
 
 @compiled
@@ -71,11 +71,11 @@ def strain(line: LineVectors, span: int) -> float:
 @inlined
 def is_as_at(line: LineVectors, first: int, value_1: float, value_2: float, limit: float) -> bool:
     """True if two values from this one on, as last observed, are within a limit of these."""
-    return max(abs(value_1 - line.out[first]), abs(value_2 - line.out[first + 1])) <= limit
+    return bool(max(abs(value_1 - line.out[first]), abs(value_2 - line.out[first + 1])) <= limit)
 
 
-@compiled
-def put_torque_ripples(p: Vector, s: Vector, motors: NDArray[np.int64], samples: int, ripples_Nm: Vector) -> None:
+@entry_point(VECTOR, VECTOR, INDICES, COUNT, VECTOR, allocates=False)
+def torque_ripples(p: Vector, s: Vector, motors: NDArray[np.int64], samples: int, ripples_Nm: Vector) -> None:
     """Excess of the mean torque of the first N of these motors over the last `samples` drive sample times over the mean
     of its two ends, N·m, into `ripples_Nm` (N,)."""
     line, now = records.line_of(p, s, s, s), int(s[lay.S_COUNT])
@@ -93,8 +93,3 @@ def put_torque_ripples(p: Vector, s: Vector, motors: NDArray[np.int64], samples:
             if back == fours - 1:
                 even += odd
         ripples_Nm[row] = even
-
-
-@entry_point(VECTOR, VECTOR, INDICES, COUNT, VECTOR)
-def torque_ripples(p: Vector, s: Vector, motors: NDArray[np.int64], samples: int, ripples_Nm: Vector) -> None:
-    put_torque_ripples(p, s, motors, samples, ripples_Nm)

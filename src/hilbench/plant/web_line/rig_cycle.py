@@ -68,8 +68,8 @@ def step(rig: RigArrays, samples: int, noise: Vector) -> None:
         records.given(line, rig.motors[k]).setpoint = rig.asked[k]
     for j in range(line.m):
         records.drive(line, j).limited = 0.0
-    kernel.run(line.p, line.s, line.u, line.w, samples)
-    kernel.look(*rig.line)
+    kernel.advance(line.p, line.s, line.u, line.w, samples)
+    kernel.observe(*rig.line)
     show(rig, noise)
 
 

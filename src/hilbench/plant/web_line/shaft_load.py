@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import Reals, Reals2, compiled, inlined, record_type
+from hilbench.compiled import MATRIX, REAL, VECTOR, Reals, Reals2, compiled, entry_point, inlined, record_type
 from hilbench.plant.web_line import kernel, laws, records
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.records import LineArrays
@@ -47,10 +47,10 @@ def later(motion: Vector, forward: Matrix, place: int) -> float:
     """Component `place` of the motion after the time of the `transition` `forward` (4, 4)."""
     # Two parallel sums, as in a vector unit.
     even = forward[place, 0] * motion[0] + forward[place, 2] * motion[2]
-    return even + (forward[place, 1] * motion[1] + forward[place, 3] * motion[3])
+    return float(even + (forward[place, 1] * motion[1] + forward[place, 3] * motion[3]))
 
 
-@compiled
+@entry_point(VECTOR, MATRIX, VECTOR, REAL, allocates=False)
 def follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
     """Update the motion by a position; `forward` (4, 4), `gain` (4,): of the elapsed time."""
     x, v = later(motion, forward, 0), later(motion, forward, 1)

@@ -94,7 +94,7 @@ def _emulate_web(rig: LineArrays, load: WebLoad, b: int, row: int, out: Vector, 
         line_kernel.follow_to(line, of, out[at : at + rig.n], load.further, times.cycle_s)
     # Steps of E are spread over the next cycle, so that what is found is continuous in their times.
     records.web(line).substeps = sample_s / times.cycle_s
-    kernel.look(*of.line)
+    kernel.observe(*of.line)
     at += kernel.columns(rig)
     for j in range(2 * line.k):
         out[at + j] = load.seen[3 * line.m + j]
@@ -107,7 +107,7 @@ def _emulate_web(rig: LineArrays, load: WebLoad, b: int, row: int, out: Vector, 
     guess[lay.S_COUNT] -= times.lead_s / sample_s  # only the motion is predicted: the tension has the present E
     ahead = records.line_of(line.p, guess, line.u, line.w)
     line_kernel.predict(line, ahead, of, times.lead_s)
-    kernel.look(line.p, guess, line.u, line.w, load.seen)
+    kernel.observe(line.p, guess, line.u, line.w, load.seen)
     for j in range(rig.n, rig.m):  # the torque for the measurement at the previous SYNC
         records.given(rig, j).setpoint = load.loads[int(records.motor(rig, j).axis)]
     for i in range(rig.n):

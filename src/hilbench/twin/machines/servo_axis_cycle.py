@@ -108,7 +108,7 @@ def _simulate(a: _ShaftArrays, position_rad: float) -> None:
     s[lay.S_X_BEHIND] = position_rad + (s[lay.S_X_BEHIND] - s[lay.S_X])
     s[lay.S_X], speed = position_rad, s[lay.S_V]
     s[lay.S_DIRECTION] = 1.0 if speed > 0.0 else (-1.0 if speed < 0.0 else 0.0)
-    kernel.look(*a.noisy.rig.line)
+    kernel.observe(*a.noisy.rig.line)
 
 
 @compiled

@@ -150,7 +150,7 @@ def _measured(a: _LineArrays) -> bool:
         return False
     torques_Nm = a.torques_Nm
     if figures.ripples != 0.0:
-        line_vectors.put_torque_ripples(a.line.p, a.line.s, a.motors, int(figures.samples), torques_Nm)
+        line_vectors.torque_ripples(a.line.p, a.line.s, a.motors, int(figures.samples), torques_Nm)
     for axis in range(len(x_m)):
         torque_Nm = measured[_MEASURED_SIZE * axis + _TORQUE]
         torques_Nm[axis] = torque_Nm + torques_Nm[axis] if figures.ripples != 0.0 else torque_Nm

@@ -32,8 +32,8 @@ from hilbench.plant.web_line.stations import ONLY_DRIVEN
 def _go_line(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
     """Step a web line or a servo axis with its drives; `out` as the columns of `web_line.layout.Layout`."""
     if samples > 0:
-        kernel.run(p, s, u, w, samples)
-    kernel.look(p, s, u, w, out)
+        kernel.advance(p, s, u, w, samples)
+    kernel.observe(p, s, u, w, out)
 
 
 def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
@@ -47,7 +47,7 @@ def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: in
         line_kernel.set_speed(line, i, records.given(line, i).setpoint)
     if duration > 0.0:
         line_kernel.roll_on(line, duration, records.web(line).sample_time_s, line_kernel.LONGEST_STEP_S)
-    kernel.look(p, s, u, w, out)
+    kernel.observe(p, s, u, w, out)
     line_kernel.put_moduli(line, out, kernel.columns(line))
     for i in range(line.n):
         loaded, speed = records.axis(line, i).web_load != 0.0, records.given(line, i).setpoint
