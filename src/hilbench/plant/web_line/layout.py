@@ -358,7 +358,7 @@ def driven_row(parameters: Vector, axis: int) -> int:
     return axis - 1 if parameters.item(first) == axis else driven_rows(parameters)[axis - 1]
 
 
-def write_drive(row: Any, drives: DriveParameters | None, axis: int) -> None:
+def write_drive(row: Any, drives: DriveParameters | LoadMotorParameters | None, axis: int) -> None:
     """Write the control loops of a `MOTOR`; without drives it has no loops and no limit."""
     row.kp = per_item(drives.velocity_kp_Nm_s_per_rad, axis) if drives else 0.0
     row.ki = per_item(drives.velocity_ki_Nm_per_rad, axis) if drives else 0.0
@@ -370,9 +370,7 @@ def write_drive(row: Any, drives: DriveParameters | None, axis: int) -> None:
 def write_load_motor(row: Any, motor: LoadMotorParameters, axis: int, rad_per_m: float) -> None:
     """Write the `MOTOR` of a load motor on the shaft of an axis, from 1."""
     row.axis, row.rad_per_m = axis - 1, rad_per_m
-    row.kp, row.ki = motor.velocity_kp_Nm_s_per_rad, motor.velocity_ki_Nm_per_rad
-    row.position_kp, row.limit_Nm = motor.position_kp_per_s, motor.torque_limit_Nm
-    row.current_s = motor.current_loop_time_constant_s
+    write_drive(row, motor, axis)
 
 
 def new_parameters(layout: Layout, sample_time_s: float, substeps: int, kind: MachineKind) -> Vector:

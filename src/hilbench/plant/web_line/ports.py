@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import DRIVE, Layout, Vector, column
-
-#: By scalar access, in every cycle.
-_REFERENCE, _LIMITED = column(DRIVE, "reference"), column(DRIVE, "limited")
+from hilbench.plant.web_line.rig_cycle import SHOWN
 
 
 def read_ports(
@@ -22,20 +20,13 @@ def read_ports(
     for motor, port in zip(motors, ports, strict=False):
         at = lay.U_MOTORS + motor * lay.UM_SIZE
         inputs[at : at + lay.UM_SIZE] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
-    first = layout.first_drive + _LIMITED
+    first = layout.first_drive + column(DRIVE, "limited")
     state[first : first + layout.motors * lay.DRIVE_SIZE : lay.DRIVE_SIZE] = 0.0
 
 
-def write_ports(
-    layout: Layout, motors: Sequence[int], p: Vector, ports: Sequence[MotorPort], state: Vector, out: Vector
-) -> None:
-    """Feedback from the columns of `kernel.observe` to the ports, exact (without sensors); `motors` as `read_ports`."""
-    count, values = layout.motors, out.tolist()
-    first_drive, first_motor = layout.first_drive, layout.first_motor
-    for j, port in zip(motors, ports, strict=False):
-        drive, rad_per_m = first_drive + j * lay.DRIVE_SIZE, p.item(first_motor + j * lay.M_SIZE)
-        port.position_rad = values[j] * rad_per_m
-        port.velocity_rad_s = values[count + j] * rad_per_m
-        port.torque_Nm = values[2 * count + j]
-        port.reference = state.item(drive + _REFERENCE)
-        port.torque_limited = state.item(drive + _LIMITED) != 0.0
+def write_ports(ports: Sequence[MotorPort], shown: Sequence[float]) -> None:
+    """Write feedback to the ports, as of `rig_cycle.show`."""
+    for at, port in enumerate(ports):
+        of_port = shown[SHOWN * at : SHOWN * (at + 1)]
+        port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference = of_port[:-1]
+        port.torque_limited = of_port[-1] != 0.0

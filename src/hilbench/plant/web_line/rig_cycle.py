@@ -62,7 +62,7 @@ def show(rig: RigArrays, noise: Vector) -> None:
 
 @compiled
 def step(rig: RigArrays, samples: int, noise: Vector) -> None:
-    """Step the motors in their modes: `read_ports`, `kernel.advance`, `kernel.observe`, `write_ports` and `Sensors`."""
+    """Step the motors in their modes, with their set points."""
     line = arrays(rig.line)
     for k in range(len(rig.motors)):
         records.given(line, rig.motors[k]).setpoint = rig.asked[k]
@@ -75,14 +75,17 @@ def step(rig: RigArrays, samples: int, noise: Vector) -> None:
 
 @compiled
 def step_noisy(noisy: NoisyRig, samples: int) -> int:
-    """`step` with the next numbers."""
+    """`step` with the next numbers; without samples only `show`."""
     row, following = 0, noisy.next_row
     if following[0] != ALWAYS_FIRST:
         row = following[0]
         if row == len(noisy.numbers):
             return DRAW
         following[0] += 1
-    step(noisy.rig, samples, noisy.numbers[row])
+    if samples > 0:
+        step(noisy.rig, samples, noisy.numbers[row])
+    else:
+        show(noisy.rig, noisy.numbers[row])
     return CONTINUE
 
 

@@ -23,7 +23,7 @@ from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quanti
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.sampling import locked_sample_time_s, samples_per
 from hilbench.plant.sensor_rows import chained_with_noise, silence
-from hilbench.plant.sensors import SensorNoise, SensorParameters, Sensors, show
+from hilbench.plant.sensors import SensorNoise, SensorParameters
 from hilbench.plant.web_line import kernel, rig_cycle
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
@@ -194,7 +194,6 @@ class SimulatedLine:
         self._sample_time_s = p.item(lay.W_SAMPLE_TIME_S)
         self._layout = layout = Layout.of(p)
         self._ports = tuple(ports)
-        self._sensors = [Sensors(each) for each in sensors]
         self._noise = SensorNoise(np.random.SeedSequence(seed).spawn(len(sensors))) if sensors else None
         self._inputs, self._work = layout.new_inputs(), layout.new_work()
         self._out = np.zeros(layout.output_size)
@@ -207,9 +206,11 @@ class SimulatedLine:
         rows = layout.motor_rows(p)
         shown = [rows[motor] for motor in self._motors]
         self._places_of_motors = np.array(self._motors, np.int64)
-        figures = [each.figures for each in self._sensors] or np.zeros((len(shown), rig_cycle.SENSOR))
+        figures = [each.figures for each in sensors] or np.zeros((len(shown), rig_cycle.SENSOR))
         self._figures = np.array(figures, dtype=float).reshape(-1)
         self._silence, self._always = silence(len(shown))
+        self._shown = np.zeros(rig_cycle.SHOWN * len(shown))
+        self._show = self._stage(0, self._shown, self._shown)
         axis_of = {row: number for number, row in enumerate(self._driven, 1)}
         self._per_m = [1.0 if unit == "m" else float(rows[row].rad_per_m) for row in self._driven]
         axes, spans = axis_names(n, unit), span_names(k)
@@ -303,10 +304,14 @@ class SimulatedLine:
 
         The ports are not updated; the caller keeps the vectors. Raises ValueError as `step`.
         """
-        step, noise = self.step_in_vectors(duration_s), self._noise
+        step = self.step_in_vectors(duration_s)
+        return self._stage(step.samples, set_points, shown)
+
+    def _stage(self, samples: int, set_points: Vector, shown: Vector) -> CompiledStage:
+        noise = self._noise
         numbers = (self._silence, self._always) if noise is None else (noise.rows, noise.next)
-        rig = rig_cycle.RigArrays(self.vectors, step.motors, set_points, step.sensors, shown)
-        return chained_with_noise(rig_cycle.step_by, step.samples, rig_cycle.NoisyRig(rig, *numbers), noise)
+        rig = rig_cycle.RigArrays(self.vectors, self._places_of_motors, set_points, self._figures, shown)
+        return chained_with_noise(rig_cycle.step_by, samples, rig_cycle.NoisyRig(rig, *numbers), noise)
 
     def _observe(self) -> None:
         """Update `_out` to the state, and the ports' feedback."""
@@ -315,9 +320,9 @@ class SimulatedLine:
 
     def show(self) -> None:
         """Write the outputs `out` of changed vectors to the ports."""
-        write_ports(self._layout, self._motors, self._p, self._ports, self._state, self._out)
-        if self._noise is not None:
-            show(self._ports, self._sensors, self._noise)
+        if self._ports:
+            self._show()
+            write_ports(self._ports, self._shown.tolist())
 
     def _refresh(self) -> None:
         kernel.observe(*self.vectors)
@@ -365,6 +370,7 @@ class SimulatedLine:
         for port, shown in zip(self._ports, memory.feedback, strict=True):
             port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited = shown
         self._noise = deepcopy(memory.noise)
+        self._show = self._stage(0, self._shown, self._shown)
 
     def _transfer(self, values: Mapping[str, float]) -> None:
         n, k, state = self._layout.axes, self._layout.spans, self._state
