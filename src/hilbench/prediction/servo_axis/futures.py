@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.compiled import table_of
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import per_item
 from hilbench.plant.sampled_shaft import emulation_delay_s
@@ -116,12 +117,13 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         start = self._start(p, present, z[:, 3])
         tally = Tally.of(self.watched, offsets, z[:, 4:], step_s, len(courses))
 
+        layout, figures = self._layout, np.array([self._steepest, step_s / self._cycle_s, tally.every])
+        room = self._inputs.copy(), layout.new_work(), np.zeros(layout.output_size), np.zeros(self.quantities)
+        given = p, self._real, start, shaft, courses
+        of = kernel.ShaftFuture(*given, lay.new_state(p), *room, tally.vectors, figures)
+
         def run() -> None:
-            kernel.run_futures(
-                p, self._real, self._steepest, start, shaft, courses, lay.new_state(p), self._inputs.copy(),
-                self._layout.new_work(), np.zeros(self._layout.output_size), np.zeros(self.quantities),
-                tally.table, step_s / self._cycle_s, tally.every,
-            )  # fmt: skip
+            kernel.run_futures(0, table_of(of))
 
         return run, lambda: tally.outlook(present.now_s)
 

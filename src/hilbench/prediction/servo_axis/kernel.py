@@ -9,16 +9,15 @@ speed of the axis (rad/s).
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, MATRIX, REAL, TABLE, VECTOR, arrays_in, compiled, entry_point
+from hilbench.compiled import COUNT, TABLE, Reals, Reals2, arrays_in, compiled, entry_point, record_type
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.web_line import kernel, records
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.records import LineArrays
 from hilbench.plant.web_line.shaft_load import load_torque_Nm
 from hilbench.prediction.judging import TallyVectors, keep, see
@@ -43,24 +42,33 @@ D_VISCOUS: Final = 2  #: viscous friction, N·m·s/rad, without the model's effe
 DRAWN: Final = 3
 
 
-class ShaftFuture(NamedTuple):
-    """Arguments of `run_futures` that its futures share."""
+#: Slope of the emulated dry friction at standstill, N·m·s/rad; measurements in a step, steps in a row.
+FIGURES: Final = record_type("steepest", "samples", "every")
 
-    real: Vector
-    steepest: float
-    shaft: Matrix
-    courses: Matrix
-    out: Vector
-    q: Vector
+
+class ShaftFuture(NamedTuple):
+    """Vectors and figures of a prediction: parameters, those of the rig as assumed, states (B, S), draws (B, DRAWN),
+    courses (T, COURSES); room for state, inputs, scratch, observed values and quantities."""
+
+    p: Reals
+    real: Reals
+    start: Reals2
+    shaft: Reals2
+    courses: Reals2
+    s: Reals
+    u: Reals
+    w: Reals
+    out: Reals
+    q: Reals
     tally: TallyVectors
-    samples: float
-    every: int
+    figures: Annotated[Any, FIGURES]
 
 
 @compiled
 def _run(a: ShaftFuture, line: LineArrays, b: int) -> None:
     """Run future b to its end."""
-    row, until_row, s, w = 0, a.every, line.s, line.w
+    row, every, s, w = 0, int(a.figures.every), line.s, line.w
+    until_row = every
     axis, mode, drawn, q = records.axis(line, 0), records.mode(line, 0), a.shaft[b], a.q
     real = records.of_parameters(a.real)
     axis.viscous_N_s_per_m = max(drawn[D_VISCOUS], 0.0)
@@ -75,25 +83,22 @@ def _run(a: ShaftFuture, line: LineArrays, b: int) -> None:
         kernel.report(line, a.out, 0)
         q[Q_SPEED], q[Q_TORQUE], now_s = a.out[1], a.out[2], kernel.time_s(line)
         acceleration = kernel.acceleration_m_s2(line, now_s, 0)
-        emulated = load_torque_Nm(line, real, now_s, w[0], w[1], acceleration, a.steepest)
+        emulated = load_torque_Nm(line, real, now_s, w[0], w[1], acceleration, a.figures.steepest)
         q[Q_LOAD_TORQUE] = loops.clip(emulated, records.motor(real, 1).limit_Nm)
         kernel.leave(line)
-        see(a.tally, q, a.samples, b, i)
+        see(a.tally, q, a.figures.samples, b, i)
         until_row -= 1
         if until_row == 0:
             keep(a.tally, q, b, row)
-            row, until_row = row + 1, a.every
+            row, until_row = row + 1, every
 
 
-#: run_futures(parameters, those of the rig as assumed, slope of the emulated dry friction at standstill, states (B, S),
-#: draws (B, DRAWN), courses (T, COURSES), state, inputs, scratch, observed, quantities, table of the tally
-#: (`Tally.table`), measurements in a step, steps in a row).
-@entry_point(*[VECTOR] * 2, REAL, *[MATRIX] * 3, *[VECTOR] * 5, TABLE, REAL, COUNT)
-def run_futures(
-    p: Vector, real: Vector, steepest: float, start: Matrix, shaft: Matrix, courses: Matrix, s: Vector, u: Vector,
-    w: Vector, out: Vector, q: Vector, table: Indices, samples: float, every: int,
-) -> None:  # fmt: skip
-    of = ShaftFuture(real, steepest, shaft, courses, out, q, arrays_in(table, TallyVectors), samples, every)
-    for b in range(start.shape[0]):
-        s[:] = start[b]
-        _run(of, records.line_of(p, s, u, w), b)
+#: run_futures(0, table of a `ShaftFuture`).
+@entry_point(COUNT, TABLE, allocates=False)
+def run_futures(unused: int, table: Indices) -> int:
+    a = arrays_in(table, ShaftFuture)
+    for b in range(len(a.start)):
+        for j in range(len(a.s)):
+            a.s[j] = a.start[b, j]
+        _run(a, records.line_of(a.p, a.s, a.u, a.w), b)
+    return 0

@@ -99,11 +99,11 @@ class LineControl:
                     rows[span - 1, : len(vector)] = vector
 
     @property
-    def table(self) -> NDArray[np.int64]:
-        """Table of `kernel.run_futures`."""
+    def arrays(self) -> kernel.LineControl:
+        """Arrays of `kernel.run_futures`."""
         rows = (self.tensions, CONTROLLER), (self.trajectories, TRAJECTORY), (self.rollers, ROLLER)
         tensions, trajectories, rollers = (vector.reshape(-1).view(kind) for vector, kind in rows)
-        return table_of(kernel.LineControl(tensions, self.dampings, trajectories, rollers))
+        return kernel.LineControl(tensions, self.dampings, trajectories, rollers)
 
 
 def step_s(model: ModelParameters, horizon_s: float) -> float:
@@ -182,15 +182,16 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         u = self._inputs.copy()
         u[0], u[1] = present.upstream_strain, present.downstream_tension_N
 
+        figures = np.array([present.line_speed_before_m_s, self._samples, tally.every])
+        around = courses.line_speed_m_s, courses.set_points_N, courses.modulus_factor
+        look = kernel.Look(
+            self._p.copy(), self._state, u, self._work, start, scale, self._control.arrays, control,
+            self._control.vector, np.zeros(q), moduli, *map(np.ascontiguousarray, around), known,
+            np.ascontiguousarray(stated_Pa), np.zeros(n), self._load_axes, tally.vectors, figures,
+        )  # fmt: skip
+
         def run() -> None:
-            kernel.run_futures(
-                self._p.copy(), start, moduli, scale, self._state, u, self._work,
-                control, self._control.vector, self._control.table, np.zeros(q),
-                np.ascontiguousarray(courses.line_speed_m_s), np.ascontiguousarray(courses.set_points_N),
-                np.ascontiguousarray(courses.modulus_factor), known, stated_Pa,
-                present.line_speed_before_m_s, np.zeros(n), self._load_axes,
-                tally.table, self._samples, tally.every,
-            )  # fmt: skip
+            kernel.run_futures(0, table_of(look))
 
         return run, lambda: tally.outlook(present.now_s)
 

@@ -12,25 +12,24 @@ speeds of the axes at the web (m/s).
 from __future__ import annotations
 
 from math import nan
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import (
     COUNT,
-    INDICES,
-    MATRIX,
-    REAL,
     TABLE,
-    VECTOR,
+    Reals,
     Reals2,
+    Wholes,
     arrays_in,
     compiled,
     entry_point,
     inlined,
     merged,
     noinline,
+    record_type,
     viewed,
 )
 from hilbench.compiled import records as array_of
@@ -56,23 +55,33 @@ class LineControl(NamedTuple):
     rollers: Annotated[Any, array_of(ROLLER)]  #: (N,)
 
 
-class Look(NamedTuple):
-    """Vectors and figures that all futures of a prediction share."""
+#: Line speed until now, m/s; measurements in a step, steps in a row.
+FIGURES: Final = record_type("before_m_s", "samples", "every")
 
+
+class Look(NamedTuple):
+    """Vectors and figures of a prediction; p, u, w: of the plant's kernel, s: room for a state."""
+
+    p: Reals
+    s: Reals
+    u: Reals
+    w: Reals
+    start: Reals2  #: (B, S)
+    scale: Reals  #: (B,): of E
     control: LineControl
-    q: Vector  #: (Q,): present quantities
-    moduli: Vector  #: (K,): E of the spans by the twin, Pa
-    lead: Vector  #: (T,): line speed, m/s
-    set_point: Matrix  #: (T, K)
-    factor: Matrix  #: (T, K): of E
-    known: Matrix  #: (T, K): E·S by the twin, N
-    stated_Pa: Vector  #: (T,): E that the controllers use
-    before: float  #: line speed until now, m/s
-    ahead: Vector  #: (N,): leads of the rollers, m/s
-    load_axes: Indices
+    control_start: Reals
+    control_state: Reals  #: all of the controllers
+    q: Reals  #: (Q,): present quantities
+    moduli: Reals  #: (K,): E of the spans by the twin, Pa
+    lead: Reals  #: (T,): line speed, m/s
+    set_point: Reals2  #: (T, K)
+    factor: Reals2  #: (T, K): of E
+    known: Reals2  #: (T, K): E·S by the twin, N
+    stated_Pa: Reals  #: (T,): E that the controllers use
+    ahead: Reals  #: (N,): leads of the rollers, m/s
+    load_axes: Wholes
     tally: TallyVectors
-    samples: float
-    every: int
+    figures: Annotated[Any, FIGURES]
 
 
 @inlined
@@ -89,7 +98,7 @@ def _set_points(line: LineArrays, look: Look, i: int) -> None:
     for j in range(k):
         if of.trajectories[j].per_s > 0.0:
             advance(of.trajectories[j], look.set_point[i, j], known[i, j] / of.trajectories[j].section_m2)
-    acceleration = (look.lead[i] - (look.lead[i - 1] if i else look.before)) / h
+    acceleration = (look.lead[i] - (look.lead[i - 1] if i else look.figures.before_m_s)) / h
     plan_leads(of.rollers, of.trajectories, acceleration, look.ahead)
     speed = command = look.lead[i]
     for j in range(k, -1, -1):
@@ -158,7 +167,8 @@ def _run(line: LineArrays, look: Look, scale: float, b: int) -> None:
     """Run future b to its end, with E by `scale` of the twin's."""
     _change_moduli(line, look, scale, 0)
     kernel.enter(line)
-    row, until_row = 0, look.every
+    row, every = 0, int(look.figures.every)
+    until_row = every
     for i in range(look.lead.shape[0]):
         changed = i > 0 and _change_moduli(line, look, scale, i)
         _set_points(line, look, i)
@@ -168,40 +178,29 @@ def _run(line: LineArrays, look: Look, scale: float, b: int) -> None:
             _go_on_two_spans(line.p, line.s, line.u, line.w)
         else:
             kernel.go_on(line, 1)
-        _watch(line, look, look.samples, b, i)
+        _watch(line, look, look.figures.samples, b, i)
         until_row -= 1
         if until_row == 0:
             keep(look.tally, look.q, b, row)
-            row, until_row = row + 1, look.every
+            row, until_row = row + 1, every
 
 
-@compiled
-def _run_counted(p: Vector, s: Vector, u: Vector, w: Vector, look: Look, scale: float, b: int) -> None:
-    """`_run` with the counts of a line of one or two spans as constants, or with any."""
+#: run_futures(0, table of a `Look`).
+@entry_point(COUNT, TABLE, allocates=False)
+def run_futures(unused: int, table: Indices) -> int:
+    look = arrays_in(table, Look)
+    p, s, u, w = look.p, look.s, look.u, look.w
     line = records.line_of(p, s, u, w)
-    if line.n == 2 and line.m == 2 and line.k == 1:
-        _run(LineArrays(p, s, u, w, 2, 2, 1), look, scale, b)
-    elif line.n == 3 and line.m == 3 and line.k == 2:
-        _run(LineArrays(p, s, u, w, 3, 3, 2), look, scale, b)
-    else:
-        _run(line, look, scale, b)
-
-
-@entry_point(
-    *(VECTOR, MATRIX, *[VECTOR] * 7, TABLE, *[VECTOR] * 2, *[MATRIX] * 3, VECTOR, REAL, VECTOR, INDICES, TABLE, REAL),
-    COUNT,
-)
-def run_futures(
-    p: Vector, start: Matrix, moduli: Vector, scale: Vector, s: Vector, u: Vector, w: Vector, control_start: Vector,
-    control_state: Vector, control_table: Indices, q: Vector, lead: Vector, set_point: Matrix, factor: Matrix,
-    known: Matrix, stated_Pa: Vector, before: float, ahead: Vector, load_axes: Indices, table: Indices, samples: float,
-    every: int,
-) -> None:  # fmt: skip
-    look = Look(
-        arrays_in(control_table, LineControl), q, moduli, lead, set_point, factor, known, stated_Pa, before, ahead,
-        load_axes, arrays_in(table, TallyVectors), samples, every,
-    )  # fmt: skip
-    for b in range(start.shape[0]):
-        s[:] = start[b]
-        control_state[:] = control_start
-        _run_counted(p, s, u, w, look, scale[b], b)
+    for b in range(len(look.start)):
+        for j in range(len(s)):
+            s[j] = look.start[b, j]
+        for j in range(len(look.control_state)):
+            look.control_state[j] = look.control_start[j]
+        # With the counts of a line of one or two spans as constants, or with any.
+        if line.n == 2 and line.m == 2 and line.k == 1:
+            _run(LineArrays(p, s, u, w, 2, 2, 1), look, look.scale[b], b)
+        elif line.n == 3 and line.m == 3 and line.k == 2:
+            _run(LineArrays(p, s, u, w, 3, 3, 2), look, look.scale[b], b)
+        else:
+            _run(line, look, look.scale[b], b)
+    return 0
