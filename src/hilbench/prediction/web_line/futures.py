@@ -183,11 +183,14 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         u[0], u[1] = present.upstream_strain, present.downstream_tension_N
 
         figures = np.array([present.line_speed_before_m_s, self._samples, tally.every])
-        around = courses.line_speed_m_s, courses.set_points_N, courses.modulus_factor
+        lead, set_point, factor = (
+            np.ascontiguousarray(course)
+            for course in (courses.line_speed_m_s, courses.set_points_N, courses.modulus_factor)
+        )
         look = kernel.Look(
             self._p.copy(), self._state, u, self._work, start, scale, self._control.arrays, control,
-            self._control.vector, np.zeros(q), moduli, *map(np.ascontiguousarray, around), known,
-            np.ascontiguousarray(stated_Pa), np.zeros(n), self._load_axes, tally.vectors, figures,
+            self._control.vector, np.zeros(q), moduli, lead, set_point, factor, known, np.ascontiguousarray(stated_Pa),
+            np.zeros(n), self._load_axes, tally.vectors, figures,
         )  # fmt: skip
 
         def run() -> None:
