@@ -38,7 +38,7 @@ def simulated_measurements(
     x_m, tau_Nm = np.empty((n, 2)), np.empty(n)
     changes = np.flatnonzero(np.diff(E_Pa)) + 1
     for start, end in zip(np.append(0, changes), np.append(changes, n), strict=True):
-        lay.Layout.of(parameters).span_rows(parameters)[:, lay.SP_MODULUS_PA] = E_Pa[start]
+        lay.Layout.of(parameters).span_rows(parameters).modulus_Pa = E_Pa[start]
         part = simulate(parameters, state, v_cmd_m_s[start:end], boundary[start:end], cycle_s)
         x_m[start:end], tau_Nm[start:end], state = part.x_m, part.tau_Nm[:, 1], part.state
     counts = ENCODER_RAD / np.array([plant.motor_rad_per_m(axis) for axis in (1, 2)])

@@ -74,8 +74,8 @@ if TYPE_CHECKING:
     def noinline() -> None:
         """Keep a rarely called compiled function out of line, in its body: its callers stay short."""
 
-    def entry_point(*arguments: Any) -> Callable[[Function], Function]:
-        """Called from Python: machine code kept on disk, and other threads run meanwhile. It may allocate.
+    def entry_point(*arguments: Any, allocates: bool = True) -> Callable[[Function], Function]:
+        """Called from Python: machine code kept on disk, and other threads run meanwhile. It may allocate, if so said.
 
         `arguments`: types of the arguments (VECTOR, REAL, … below), for which `hilbench compile` compiles it. Called
         with others it is compiled for them as well, there and then.
@@ -101,6 +101,10 @@ if TYPE_CHECKING:
         """View of a contiguous array as another type that fits in it a whole number of times, in the body of a compiled
         function; like `array.view(kind)`, for which numba would load half of itself with the machine code
         (25 ms). The array is to be kept."""
+        raise NotImplementedError
+
+    def record_in(vector: NDArray[np.float64], at: int, kind: np.dtype[Any]) -> Any:
+        """Record in a vector, from offset `at` on, in the body of a compiled function. The vector is to be kept."""
         raise NotImplementedError
 
     def call_at(function: int, argument: int, table: int, rows: int) -> int:
@@ -154,9 +158,9 @@ else:
         for each in ({"forceinline": False}, {"forceinline": True}, {"inline": "always"})
     )
 
-    def entry_point(*arguments):
+    def entry_point(*arguments, allocates=True):
         def decorate(function):
-            options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+            options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True, "_nrt": allocates}
             dispatcher = numba.njit(**options)(function)
             dispatcher._cache = CodeCache(function, repr(options))
             dispatcher.arguments = arguments
@@ -256,6 +260,16 @@ else:
             return found._getvalue()
 
         return result(array, kind), generate
+
+    @intrinsic
+    def record_in(typing_context, vector, at, kind):
+        def generate(context, builder, signature, arguments):
+            from numba.np.arrayobj import make_array
+
+            data = make_array(vector)(context, builder, arguments[0]).data
+            return builder.bitcast(builder.gep(data, [arguments[1]]), context.get_value_type(kind.dtype))
+
+        return kind.dtype(vector, types.intp, kind), generate
 
     @intrinsic
     def call_at(typing_context, function, argument, table, rows):

@@ -21,8 +21,8 @@ import hilbench
 from hilbench.apps.commands.compile import modules_by_room
 from hilbench.code_cache import CodeCache
 from hilbench.compiled import entry_points
-from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import simulation
 from hilbench.plant.web_line.offline import simulate, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 
@@ -113,9 +113,9 @@ def test_variants_from_one_start_run_what_was_compiled_for_one() -> None:
     web = {"youngs_modulus_Pa": 9e9, "width_m": 0.5, "thickness_m": 65e-6, "span_length_m": 1.0}
     model = ModelParameters.model_validate({"web": web, "rollers": {"radius_m": 0.04, "inertia_kg_m2": 1e-3}})
     p = lay.pack(model)
-    before = set(kernel.simulate.overloads)  # type: ignore[attr-defined]
+    before = set(simulation.simulate.overloads)  # type: ignore[attr-defined]
     simulate(np.stack([p, p]), start_state(p, model), np.zeros((4, 2)), np.zeros((4, 2)), 0.002)
-    assert set(kernel.simulate.overloads) - before <= {kernel.simulate.arguments}  # type: ignore[attr-defined]
+    assert set(simulation.simulate.overloads) - before <= {simulation.simulate.arguments}  # type: ignore[attr-defined]
 
 
 def test_machine_code_is_found_again_by_what_it_is_made_of() -> None:

@@ -133,13 +133,11 @@ class Ringing:
 
     def _torque_Nm(self, parameters: Array) -> Array:
         (span,) = lay.Layout.of(parameters).span_rows(parameters)
-        since = self.t_s - span[lay.place("elasticity_step", "time_s")]
-        size = span[lay.place("elasticity_step", "relative_change")]
+        step_s, size = span.elasticity_step[0]
+        since = self.t_s - step_s
         ringing = np.exp(-np.maximum(since, 0.0) / 0.3) * np.cos(2.0 * np.pi * 20.0 * since)
         sudden = np.where(since >= 0.0, size * (0.1 + self._ringing_Nm * ringing), 0.0)
-        first, within, change = (
-            span[lay.place("elasticity_ramp", name)] for name in ("time_s", "duration_s", "relative_change")
-        )
+        first, within, change = span.elasticity_ramp[0]
         begun, ended = np.maximum(self.t_s - first, 0.0), np.maximum(self.t_s - first - within, 0.0)
         return sudden + change * (self._so_far(begun) - self._so_far(ended)) / max(within, PERIOD_S)
 

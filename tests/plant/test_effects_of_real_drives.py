@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from hilbench.plant.motor_laws import measured_motion
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.servo_axis import layout as servo_lay
 from hilbench.plant.servo_axis import offline as servo_offline
@@ -169,7 +170,8 @@ def test_the_velocity_loop_follows_an_encoder_that_errs() -> None:
     """At constant measured speed the true one swings: the drive believes its encoder."""
     parameters = lone_axis(effect("encoder_error", 1, amplitude_rad=0.05))
     p = lay.pack(parameters)
-    lay.Layout.of(p).motor_rows(p)[0, [lay.M_KP, lay.M_KI]] = 300.0, 3000.0
+    motor = lay.Layout.of(p).motor_rows(p)[0]
+    motor.kp, motor.ki = 300.0, 3000.0
     commands = np.full((3000, 1), 4.0)
     result = offline.simulate(p, offline.start_state(p, parameters), commands, np.zeros((3000, 2)), ROW_S)
     torque = result.tau_Nm[1000:, 0]
@@ -200,7 +202,7 @@ def test_gains_and_lag_of_a_drive_are_those_of_a_model_that_has_them() -> None:
 def test_a_current_loop_is_never_faster_than_at_once() -> None:
     def time_constant_s(lag_s: float) -> float:
         p = lay.pack(model(effect("drive_lag", 2, lag_s=lag_s)))
-        return float(laws.current_loop_s(p, lay.W_SIZE + 2 * lay.A_SIZE + lay.M_SIZE))
+        return float(laws.current_loop_s(lay.Layout.of(p).motor_rows(p)[1]))
 
     assert time_constant_s(-0.0004) == pytest.approx(0.0006)
     assert time_constant_s(-0.05) == 0.0
@@ -229,7 +231,6 @@ def test_the_torque_that_a_measured_motion_needs_is_the_one_that_made_it(
     )
     parameters = lone_axis(*made)
     p = lay.pack(parameters)
-    motor = lay.W_SIZE + lay.A_SIZE
     rng = np.random.default_rng(0)
     x, v, tau = rng.uniform(-5.0, 5.0, 50), rng.uniform(0.1, 4.0, 50), rng.uniform(-5.0, 5.0, 50)
     v *= rng.choice([-1.0, 1.0], 50)
@@ -242,7 +243,7 @@ def test_the_torque_that_a_measured_motion_needs_is_the_one_that_made_it(
         motion = (np.full(2, value[k]) for value in (measured_x, measured_v, measured_a))
         required_torque_Nm(p, *motion, 0.001, out)
         assert out[0] == pytest.approx(tau[k] - inertia_share * MASS_KG * a[k], abs=1e-9)
-    assert laws.measured_motion(p, motor, float(x[0]), float(v[0])) == pytest.approx((measured_x[0], measured_v[0]))
+    assert measured_motion(amplitude, phase, float(x[0]), float(v[0])) == pytest.approx((measured_x[0], measured_v[0]))
 
 
 def test_effects_of_real_drives_run_on_a_whole_line_and_end_where_they_are_cleared() -> None:

@@ -69,7 +69,7 @@ def test_they_go_on_from_a_motion_that_is_put(model: Callable[[], ModelParameter
     together.motions[0] = first.motion
     together.put()
     assert second.tension_N == pytest.approx(first.tension_N, rel=1e-9)
-    second.memory[:] = first.memory
+    second.followed.history[:], second.followed.rollers[:] = first.followed.history, first.followed.rollers
     for x in travels[100:]:
         first.follow(x, CYCLE_S)
         second.follow(x, CYCLE_S)

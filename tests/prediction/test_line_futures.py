@@ -153,9 +153,8 @@ def test_the_coarse_step_changes_a_ramp_by_less_than_two_hundredths_of_what_is_s
     y = layout.y(state)
     y[2:4] = y[6:8] = 3.0
     motors = layout.motor_states(state)
-    motors[:, lay.SM_MODE] = 2.0
-    motors[:, lay.SM_REFERENCE] = 3.0 * 25.0
-    motors[1, [lay.SM_TORQUE_NM, lay.SM_COMMAND_NM, lay.SM_INTEGRAL_NM]] = 0.4
+    motors.mode, motors.reference = 2.0, 3.0 * 25.0
+    motors[1].torque_Nm = motors[1].command_Nm = motors[1].integral_Nm = 0.4
     exact = offline.simulate(
         p, state, np.stack([fine, fine], axis=1), np.tile([model.upstream_strain, 70.0], (2000, 1)), 1e-3
     )

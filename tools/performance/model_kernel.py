@@ -10,8 +10,8 @@ from tests.simulated_recordings import PERIOD_S, experiment
 
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.sampling import samples_per
-from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import simulation
 from hilbench.plant.web_line.offline import simulate, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from performance.plain_equations import PlainLine
@@ -169,17 +169,20 @@ def _variants(model: ModelParameters) -> Section:
     commands, boundary = _recording(model)
     p = lay.pack(model)
     many = np.tile(p, (_VARIANTS, 1))
-    many[:, lay.Layout.of(p).first_span + lay.SP_MODULUS_PA] *= np.linspace(0.9, 1.1, _VARIANTS)
+    many[:, lay.Layout.of(p).first_span + lay.column(lay.SPAN, "modulus_Pa")] *= np.linspace(0.9, 1.1, _VARIANTS)
     state = start_state(p, model)
     layout = lay.Layout.of(p)
 
     def one_core() -> None:
         states = np.tile(state, (_VARIANTS, 1))
         inputs = layout.new_inputs()
-        layout.motor_inputs(inputs)[:, lay.UM_MODE] = 2.0
+        layout.motor_inputs(inputs).mode = 2.0
         out = np.empty((_VARIANTS, len(commands), layout.output_size))
-        rows = commands * layout.motor_rows(p)[:, lay.M_RAD_PER_M]
-        kernel.simulate(many, states, inputs, layout.new_work(), rows, boundary, 2, out)
+        rows = commands * layout.motor_rows(p).rad_per_m
+        simulation.simulate(
+            *(many, states, inputs, layout.new_work(), rows, boundary, 2, out.reshape(-1), out.shape[2]),
+            *(simulation.NOTHING, simulation.NOTHING),
+        )
 
     alone = best_s(one_core, 10)
     together = best_s(lambda: simulate(many, state, commands, boundary, PERIOD_S), 10)

@@ -20,9 +20,9 @@ from hilbench.plant.effect import Domain
 from hilbench.plant.effects import find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
-from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.emulation import Emulation
+from hilbench.plant.web_line.line import elasticity_factor
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
 from hilbench.topology.config import BenchConfig
@@ -94,12 +94,8 @@ class LiveLine(LiveMachine):
 
     def estimate_at(self, model: Machine, time_s: float) -> Array:
         """E in these spans (M,) as the model's effects make it at a time of theirs."""
-        p, found = lay.pack(line(model)), []
-        for span in self._spans:
-            row = lay.Layout.of(p).first_span + (span - 1) * lay.SP_SIZE
-            steps = laws.step_factor(p, row, time_s, float(p[lay.W_SAMPLE_TIME_S]))
-            found.append(float(p[row + lay.SP_MODULUS_PA] * laws.elasticity_factor(p, row, time_s, steps)))
-        return np.array(found)
+        p = lay.pack(of_line := line(model))
+        return np.array([of_line.youngs_modulus_Pa(k) * elasticity_factor(p, k, time_s) for k in self._spans])
 
     def is_of_estimate(self, effect_id: str) -> bool:
         """True if an effect is a change of E."""

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.compiled import record_at
 from hilbench.diagnosis.web_line.free_run import remembered_m
 from hilbench.live.machine import SHORT
 from hilbench.plant.web_line import layout as lay
@@ -47,10 +48,9 @@ class ModelGap:
         self._p = lay.pack(model)
         layout = Layout.of(self._p)
         rows, motors = layout.axis_rows(self._p), layout.motor_rows(self._p)
-        more = 1.0 + rows[:, lay.place("inertia_mismatch", "relative_change")]
-        self._mass_kg = (rows[:, lay.A_MOTOR_MASS_KG] + rows[:, lay.A_ROLLER_MASS_KG]) * more
-        self._per_m = motors[: self._axes, lay.M_RAD_PER_M].copy()
-        self._web_load = rows[:, lay.A_WEB_LOAD].copy()
+        self._mass_kg = (rows.motor_mass_kg + rows.roller_mass_kg) * (1.0 + rows.inertia_mismatch.relative_change)
+        self._per_m, self._web_load = motors.rad_per_m[: self._axes].copy(), rows.web_load.copy()
+        self._upstream_stiffness_N = float(record_at(self._p, lay.WEB).upstream_stiffness_N)
         self._follower = LineFollower(model)
         several = model.span_count > 1
         self._moduli = [f"span{span}.youngs_modulus_Pa" if several else "youngs_modulus_Pa" for span in spans]
@@ -107,7 +107,7 @@ class ModelGap:
         rows, limits = np.concatenate([before, x]), np.concatenate([self._last_around, around])
         between = self._follower.follow_rows(rows, limits, self._cycle_s)[len(before) :]
         self._last_around = around[-1:]
-        return np.column_stack([around[:, 0] * self._p.item(lay.W_UPSTREAM_STIFFNESS_N), between, around[:, 1]])
+        return np.column_stack([around[:, 0] * self._upstream_stiffness_N, between, around[:, 1]])
 
     def _of(self, positions: Array, end: int, forces: Array) -> Array:
         """Residual of the SHORT cycles up to row `end` of positions, with the means of torques and tensions (2 N +

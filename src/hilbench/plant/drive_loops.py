@@ -1,8 +1,7 @@
 """Sampled control loops of a drive, compiled: reference ramp, position P, velocity PI, current loop.
 
-`velocity_reference` and `velocity_loop` are a drive firmware's work once per sample time; between samples the torque
-follows its command through a first-order current loop (`torque_after`). SI, motor side. Used by
-`hilbench.plant.web_line.kernel`, which holds the state in flat arrays.
+`drive_sample` is a drive firmware's work once per sample time; between samples the torque follows its command through a
+first-order current loop (`torque_after`). SI, motor side.
 """
 
 from __future__ import annotations
@@ -10,10 +9,7 @@ from __future__ import annotations
 from math import exp
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hilbench.compiled import inlined
+from hilbench.compiled import Record, inlined, record_type
 from hilbench.plant.motor_port import MotorMode
 
 #: Motor modes as plain numbers, as compiled code compares them.
@@ -21,29 +17,12 @@ OFF, TORQUE, VELOCITY, POSITION = (
     float(mode) for mode in (MotorMode.OFF, MotorMode.TORQUE, MotorMode.VELOCITY, MotorMode.POSITION)
 )
 
-Vector = NDArray[np.float64]
-
-# Parameters of a drive's loops, motor side.
-KP: Final = 0
-KI: Final = 1
-POSITION_KP: Final = 2
-LIMIT_NM: Final = 3
-CURRENT_S: Final = 4
-LOOPS_SIZE: Final = 5
-# State of a drive.
-TORQUE_NM: Final = 0
-COMMAND_NM: Final = 1
-INTEGRAL_NM: Final = 2
-REFERENCE: Final = 3
-LIMITED: Final = 4
-MODE: Final = 5
-STATE_SIZE: Final = 6
-# Inputs of a drive.
-IN_MODE: Final = 0
-IN_SETPOINT: Final = 1
-IN_SLOPE: Final = 2
-IN_LIMIT_NM: Final = 3
-IN_SIZE: Final = 4
+#: State of a drive.
+DRIVE: Final = record_type(
+    *("torque_Nm", "command_Nm", "integral_Nm", "reference", "limited", "mode"),
+    "mean_Nm",  # mean torque in the last call of the kernel
+)
+DRIVE_INPUT: Final = record_type("mode", "setpoint", "slope", "limit_Nm")
 
 
 @inlined
@@ -89,77 +68,41 @@ def torque_after(torque_Nm: float, command_Nm: float, decay: float) -> float:
 
 
 @inlined
-def bumpless_reference(mode: float, position_rad: float, velocity_rad_s: float, torque_Nm: float) -> float:
-    """Initial reference of a mode (bumpless transfer): the present value of the controlled quantity."""
-    if mode == POSITION:
-        return position_rad
-    if mode == VELOCITY:
-        return velocity_rad_s
-    return torque_Nm
-
-
-@inlined
-def velocity_reference(
-    mode: float, before: float, reference: float, position_rad: float, kp_per_s: float, slope: float, sample_s: float
-) -> float:
-    """Reference of the velocity loop; the position loop adds the velocity of a ramped reference (feed-forward).
-
-    A ramped reference is `before` at the sample instant and gets to `reference` at its end, as the position does.
-    """
-    if mode != POSITION:
-        return reference
-    if slope >= 1e300:
-        return kp_per_s * (reference - position_rad)
-    return kp_per_s * (before - position_rad) + (reference - before) / sample_s
-
-
-@inlined
 def drive_sample(
-    p: Vector,
-    s: Vector,
-    u: Vector,
-    gains: int,
-    state: int,
-    inputs: int,
-    period_s: float,
-    position_rad: float,
-    velocity_rad_s: float,
-    kp: float,
-    ki: float,
+    motor: Record, drive: Record, given: Record, sample_s: float, x_rad: float, v_rad_s: float, kp: float, ki: float,
     current_s: float,
-) -> None:
-    """Sample a drive's loops: new torque command from set point and measured motion.
+) -> None:  # fmt: skip
+    """Sample the loops of a `DRIVE`: new torque command from a `DRIVE_INPUT` and the measured motion.
 
-    `gains`, `state`, `inputs`: offsets of its loops' parameters in `p`, its state in `s`, its inputs in `u`. `kp`
-    (N·m·s/rad), `ki` (N·m/rad) and `current_s` (s): of its velocity and current loop, with effects.
+    `motor`: with the loops' other parameters. `kp` (N·m·s/rad), `ki` (N·m/rad) and `current_s` (s): of its velocity and
+    current loop, with effects. A new mode begins at the present value of its controlled quantity (bumpless transfer).
     """
-    mode, slope = u[inputs + IN_MODE], u[inputs + IN_SLOPE]
-    limit = min(u[inputs + IN_LIMIT_NM], p[gains + LIMIT_NM])
-    torque = s[state + TORQUE_NM]
-    if s[state + MODE] != mode:
-        s[state + MODE] = mode
-        s[state + REFERENCE] = bumpless_reference(mode, position_rad, velocity_rad_s, torque)
-        s[state + INTEGRAL_NM] = torque
+    mode, limit, torque = given.mode, min(given.limit_Nm, motor.limit_Nm), drive.torque_Nm
+    if drive.mode != mode:
+        drive.mode, drive.integral_Nm = mode, torque
+        drive.reference = x_rad if mode == POSITION else v_rad_s if mode == VELOCITY else torque
     if mode == OFF:
-        s[state + REFERENCE] = 0.0
-        s[state + COMMAND_NM] = 0.0
-        s[state + TORQUE_NM] = 0.0
-        s[state + INTEGRAL_NM] = 0.0
+        drive.reference = drive.command_Nm = drive.torque_Nm = drive.integral_Nm = 0.0
         return
-    before = s[state + REFERENCE]
-    reference = ramp(before, u[inputs + IN_SETPOINT], slope, period_s)
-    s[state + REFERENCE] = reference
+    before = drive.reference
+    reference = ramp(before, given.setpoint, given.slope, sample_s)
+    drive.reference = reference
     if mode == TORQUE:
         command = clip(reference, limit)
         limited = command != reference
     else:
-        kp_position = p[gains + POSITION_KP]
-        wanted = velocity_reference(mode, before, reference, position_rad, kp_position, slope, period_s)
-        command, s[state + INTEGRAL_NM], limited = velocity_loop(
-            wanted - velocity_rad_s, s[state + INTEGRAL_NM], kp, ki, limit, period_s
+        wanted = reference
+        if mode == POSITION and given.slope >= 1e300:
+            wanted = motor.position_kp * (reference - x_rad)
+        elif mode == POSITION:
+            # With the velocity of the ramp, which is `before` at the sample instant and gets to `reference` at its
+            # end, as the position does.
+            wanted = motor.position_kp * (before - x_rad) + (reference - before) / sample_s
+        command, drive.integral_Nm, limited = velocity_loop(
+            wanted - v_rad_s, drive.integral_Nm, kp, ki, limit, sample_s
         )
-    s[state + COMMAND_NM] = command
+    drive.command_Nm = command
     if current_s == 0.0:
-        s[state + TORQUE_NM] = command
+        drive.torque_Nm = command
     if limited:
-        s[state + LIMITED] = 1.0
+        drive.limited = 1.0

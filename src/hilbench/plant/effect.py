@@ -58,6 +58,7 @@ _DOMAINS: Mapping[EffectPlace, frozenset[Domain]] = {
     EffectPlace.LOAD: AT_A_ROLLER
     | {Domain.WEB_KINEMATICS, Domain.ELASTICITY, Domain.BOUNDARY, Domain.GEOMETRY, Domain.STATION},
 }
+_OF_AN_AXIS = _DOMAINS[EffectPlace.HARDWARE] | {Domain.WEB_KINEMATICS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +159,6 @@ class Rotary:
 
     law: str
     parameters: tuple[Parameter, ...]
-    strength: tuple[str, ...]
     object_index: int
     probe: Probe | None = None  #: where the one of the row is by a parameter of another name
 
@@ -171,17 +171,17 @@ class Effect:
     """Effect: id, law, parameters, domain, and how it is found and shown."""
 
     id: str
-    per_axis: bool
     law: str
     domain: Domain
     parameters: tuple[Parameter, ...]
-    #: Parameters that make the effect vanish when all are neutral; the others only shape it. Several are searched one
-    #: by one, each a term of its own: a part without evidence is not named with the others.
-    strength: tuple[str, ...]
     #: Its CANopen object; its parameters are the sub-indices in order, from 1. Never reused for another effect.
     object_index: int
     #: Experiment that shows it best.
     shown_by: str
+    #: Parameters that make the effect vanish when all are neutral, the first one unless given; the others only shape
+    #: it. Several are searched one by one, each a term of its own: a part without evidence is not named with the
+    #: others.
+    strength: tuple[str, ...] = ()
     #: Number of its instances at one place of a model (several ripple orders, several steps).
     slots: int = 1
     #: Axis that may be named although the effect has no choice of axis: that of its law.
@@ -209,6 +209,15 @@ class Effect:
     #: Effects not separable from it in some recordings (ids), and the experiment that separates them, where it is
     #: another than those that show the two best.
     alike: tuple[tuple[str, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.strength:
+            object.__setattr__(self, "strength", (self.parameters[0].name,))
+
+    @property
+    def per_axis(self) -> bool:
+        """True if each axis can have it by itself."""
+        return self.domain in _OF_AN_AXIS and not self.per_section
 
     def parameter(self, name: str) -> Parameter:
         """Parameter `name`. Raises KeyError."""
@@ -300,7 +309,7 @@ class Effect:
             self,
             law=of.law,
             parameters=of.parameters,
-            strength=of.strength,
+            strength=() if self.strength == (self.parameters[0].name,) else self.strength,
             object_index=of.object_index,
             probe=of.probe or self.probe,
             rotary=None,

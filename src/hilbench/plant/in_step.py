@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +16,13 @@ from hilbench.plant.sample_coherence import Vector
 
 
 class CompiledInStep(ABC):
-    """`InStep` by a compiled `function`, whose table has the vectors of `kept`, then values and offsets; it returns
-    `followed` if the cycle is complete. `torques_Nm`: one of `kept`, for the load motors' torques (M,)."""
+    """`InStep` by a compiled `function` of a table of `arrays`, a NamedTuple, with the process image's `values` and
+    offsets `at` in it; it returns `followed` if the cycle is complete. `torques_Nm`: one of them, for the load motors'
+    torques (M,)."""
 
-    def __init__(
-        self, function: Function, followed: int, torques_Nm: Vector, kept: tuple[NDArray[np.generic], ...]
-    ) -> None:
+    def __init__(self, function: Function, followed: int, torques_Nm: Vector, arrays: Any) -> None:
         self._function, self._followed = function, followed
-        self._torques, self._kept = torques_Nm, kept
-        self._on: tuple[Vector, NDArray[np.int64]] | None = None  #: values and offsets in the table
+        self._torques, self._arrays = torques_Nm, arrays
         self._table = np.zeros((0, TABLE_WIDTH), np.int64)
 
     @property
@@ -38,14 +37,15 @@ class CompiledInStep(ABC):
 
     def piece(self, values: Vector, places: NDArray[np.int64], fallback: Callable[[int], bool]) -> CompiledStage:
         """Compiled stage; see `InStep`."""
-        table, kept = self._table_on(values, places), (self._kept, values, places)
-        return CompiledStage(self._function, 0, kept, continues=self._followed, fallback=fallback, table=table)
+        table = self._table_on(values, places)
+        return CompiledStage(self._function, 0, self._arrays, continues=self._followed, fallback=fallback, table=table)
 
     @abstractmethod
     def has_followed(self, code: int) -> HasFollowed:
         """Result by return code; see `InStep`."""
 
     def _table_on(self, values: Vector, places: NDArray[np.int64]) -> NDArray[np.int64]:
-        if self._on is None or self._on[0] is not values or self._on[1] is not places:
-            self._on, self._table = (values, places), table_of((*self._kept, values, places))
+        if self._arrays.values is not values or self._arrays.at is not places:
+            self._arrays = self._arrays._replace(values=values, at=places)
+            self._table = table_of(self._arrays)
         return self._table

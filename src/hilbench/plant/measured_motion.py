@@ -8,15 +8,26 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from enum import Enum
 from struct import pack_into
-from typing import Protocol, runtime_checkable
+from typing import Annotated, Any, Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import FLAG, VECTOR, compiled, entry_point
+from hilbench.compiled import (
+    FLAG,
+    VECTOR,
+    Reals,
+    Record,
+    compiled,
+    entry_point,
+    interpreted,
+    record_at,
+    record_in,
+    record_type,
+)
 from hilbench.cycle_program import CompiledStage
 from hilbench.plant import sample_coherence
-from hilbench.plant.sample_coherence import SampleCoherence, Vector, coherent, own_travels
+from hilbench.plant.sample_coherence import COHERENCE, OWN, SampleCoherence, Vector, coherent, own_travels
 
 #: Largest delay of a sample, in cycles, that is compensated by prediction; an older one has too little information.
 MOST_PREDICTED_CYCLES = 3.0
@@ -25,55 +36,58 @@ _PARTS = 1000.0
 #: State of `elapsed_s`: least travel that shows cycles, in the unit of the positions; a cycle, s; index of the counting
 #: axis; cycles since the instant of the machine's positions; that axis's position and speed there; dead time of the
 #: torques, s; whether the axes travel independently, and all of them are used.
-_LEAST_TRAVEL, _CYCLE_S, _AXIS, _BEHIND, _POSITION, _SPEED, _LEAD_S, _OWN, _SIZE = range(9)
+MOTION: Final = record_type(*("least_travel", "cycle_s", "axis", "behind", "position", "speed", "lead_s", "own"))
+
+
+class MotionVectors(NamedTuple):
+    """Vectors of a `MeasuredMotion`, for compiled callers: travels as of `elapsed_s`, positions (N,)."""
+
+    state: Annotated[Any, MOTION]
+    travels: Reals
+    positions: Reals
 
 
 @compiled
-def _own_elapsed_s(m: Vector, travels: Vector, positions: Vector, late: bool) -> float:
-    elapsed = 0.0
-    if late:
-        sample_coherence.miss_own(travels)
-    elif own_travels(travels, positions):
-        elapsed = travels[sample_coherence.OWN_ELAPSED]
-    m[_BEHIND] = travels[sample_coherence.OWN_BEHIND]
-    return float(elapsed * m[_CYCLE_S])
-
-
-@compiled
-def elapsed_s(m: Vector, travels: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
+def elapsed_s(m: Record, travels: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
     """Advance a cycle with these positions and speeds (N,): time in s by which the machine has to follow; 0 if they are
     incoherent (`travels`: of `coherent`, or `own_travels`), `late`, or of the machine's present instant."""
-    if m[_OWN] != 0.0:
-        return _own_elapsed_s(m, travels, positions, late)
-    m[_BEHIND] += 1.0
+    if m.own != 0.0:
+        own, elapsed = record_in(travels, 0, OWN), 0.0
+        if late:
+            sample_coherence.miss_own(travels)
+        elif own_travels(travels, positions):
+            elapsed = own.elapsed
+        m.behind = own.behind
+        return float(elapsed * m.cycle_s)
+    m.behind += 1.0
     if late:
-        sample_coherence.miss(travels)
+        record_in(travels, 0, COHERENCE).cycles += 1.0
         return 0.0
-    if not coherent(travels, positions, m[_LEAST_TRAVEL]):
+    if not coherent(travels, positions, m.least_travel):
         return 0.0
-    axis, cycle_s = int(m[_AXIS]), m[_CYCLE_S]
-    travel, of_a_cycle = positions[axis] - m[_POSITION], 0.5 * (speeds[axis] + m[_SPEED]) * cycle_s
-    if abs(of_a_cycle) <= m[_LEAST_TRAVEL]:
-        cycles = max(m[_BEHIND], 1.0)
+    axis, cycle_s = int(m.axis), m.cycle_s
+    travel, of_a_cycle = positions[axis] - m.position, 0.5 * (speeds[axis] + m.speed) * cycle_s
+    if abs(of_a_cycle) <= m.least_travel:
+        cycles = max(m.behind, 1.0)
         duration_s = cycles * cycle_s
     else:
         parts = max(np.rint(_PARTS * travel / of_a_cycle), 0.0) if np.isfinite(travel / of_a_cycle) else _PARTS
         cycles = np.rint(parts / _PARTS)
-        whole = cycles == 0.0 or abs(travel - cycles * of_a_cycle) <= m[_LEAST_TRAVEL]
+        whole = cycles == 0.0 or abs(travel - cycles * of_a_cycle) <= m.least_travel
         duration_s = (cycles if whole else parts / _PARTS) * cycle_s
-    m[_SPEED] = speeds[axis]
+    m.speed = speeds[axis]
     # Up to one cycle ahead of the count: a SYNC that was sent late, and the next one on time.
-    m[_BEHIND] = max(m[_BEHIND] - cycles, 0.0 if cycles == 1.0 else -1.0)
+    m.behind = max(m.behind - cycles, 0.0 if cycles == 1.0 else -1.0)
     if cycles == 0.0:
         return 0.0
-    m[_POSITION] = positions[axis]
+    m.position = positions[axis]
     return float(duration_s)
 
 
 @compiled
-def ahead_s(m: Vector) -> float:
+def ahead_s(m: Record) -> float:
     """Time by which the machine has to be predicted: dead time of the torques, and delay of the sample."""
-    return float(m[_LEAD_S] + min(max(m[_BEHIND], 0.0), MOST_PREDICTED_CYCLES) * m[_CYCLE_S])
+    return float(m.lead_s + min(max(m.behind, 0.0), MOST_PREDICTED_CYCLES) * m.cycle_s)
 
 
 @compiled
@@ -95,12 +109,10 @@ def publish(values: Vector, at: NDArray[np.int64], torques: Vector, shown: Vecto
 
 @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, FLAG)
 def _elapsed(m: Vector, travels: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
-    return elapsed_s(m, travels, positions, speeds, late)
+    return elapsed_s(record_in(m, 0, MOTION), travels, positions, speeds, late)
 
 
-@entry_point(VECTOR)
-def _ahead(m: Vector) -> float:
-    return ahead_s(m)
+_ahead = interpreted(ahead_s)
 
 
 class MeasuredMotion:
@@ -114,37 +126,38 @@ class MeasuredMotion:
     def __init__(
         self, axes: int, counted: int, cycle_s: float, lead_s: float, least_travel: float, own_play: float | None = None
     ) -> None:
-        self.state = np.zeros(_SIZE)  #: of `elapsed_s`
-        self.state[[_LEAST_TRAVEL, _CYCLE_S, _AXIS, _LEAD_S]] = least_travel, cycle_s, counted, lead_s
-        self.state[_OWN] = own_play is not None
         self._pairing = SampleCoherence(least_travel)
-        self.travels, self.positions = self._pairing.vectors(axes)
+        travels, positions = self._pairing.vectors(axes)
         if own_play is not None:
-            self.travels = sample_coherence.own_travels_state(axes, own_play)
+            travels = sample_coherence.own_travels_state(axes, own_play)
+        given = least_travel, cycle_s, counted, 0.0, 0.0, 0.0, lead_s, float(own_play is not None)
+        self.vectors = MotionVectors(np.array(given), travels, positions)
         self.speeds = np.zeros(axes)
+        self._state = record_at(self.vectors.state, MOTION)
         self._format = f"={axes}d"
 
     def begin(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
         """Start the machine at these positions."""
-        if self.state[_OWN]:
-            sample_coherence.forget_own_travels(self.travels)
+        state = self._state
+        if state.own:
+            sample_coherence.forget_own_travels(self.vectors.travels)
             self.elapsed_s(positions, speeds, late=False)
         else:
             self._pairing.reset()
             self._pairing.update(*positions)
-        axis = int(self.state[_AXIS])
-        self.state[[_BEHIND, _POSITION, _SPEED]] = 0.0, positions[axis], speeds[axis]
+        axis = int(state.axis)
+        state.behind, state.position, state.speed = 0.0, positions[axis], speeds[axis]
 
     def elapsed_s(self, positions: Sequence[float], speeds: Sequence[float], *, late: bool) -> float:
         """`elapsed_s` for these new measurements."""
-        pack_into(self._format, self.positions.data, 0, *positions)
+        pack_into(self._format, self.vectors.positions.data, 0, *positions)
         pack_into(self._format, self.speeds.data, 0, *speeds)
-        return _elapsed(self.state, self.travels, self.positions, self.speeds, late)
+        return _elapsed(*self.vectors, self.speeds, late)
 
     @property
     def ahead_s(self) -> float:
         """Time by which the machine has to be predicted."""
-        return _ahead(self.state)
+        return _ahead(self._state)
 
 
 class HasFollowed(Enum):

@@ -1,7 +1,7 @@
 """Laws of a motor and its sensors common to every machine: small compiled functions.
 
-`p` is a machine's parameter vector. The slots of an effect follow each other from an offset `first` on; of a wave over
-an angle a slot is amplitude, order, phase (rad). Angles and speeds are the motor's, rad and rad/s.
+Slots of an effect are (slots, parameters): of a wave over an angle amplitude, order, phase (rad). Angles and speeds are
+the motor's, rad and rad/s.
 """
 
 from __future__ import annotations
@@ -14,36 +14,34 @@ from numpy.typing import NDArray
 from hilbench.compiled import compiled, inlined, noinline
 
 Vector = NDArray[np.float64]
+Slots = NDArray[np.float64]
 
-#: Parameters of a slot of a wave.
-_WAVE = 3
 #: Steps of Newton's method from a measured angle to the true one; an error of 0.5 rad needs five.
 _ANGLE_PASSES = 6
 
 
 @inlined
-def is_any(p: Vector, first: int, size: int, slots: int) -> bool:
-    """True if any slot of an effect is used: the strength of the first is at `first`, a slot has `size` values."""
+def is_any(slots: Slots, strength: int) -> bool:
+    """True if any slot of an effect is used; `strength`: column of its strength."""
     found = False
-    for slot in range(slots):
-        found |= p[first + slot * size] != 0.0
+    for slot in range(len(slots)):
+        found |= slots[slot, strength] != 0.0
     return found
 
 
 @inlined
-def wave_sum(p: Vector, first: int, slots: int, angle_rad: float, start: float) -> float:
-    """Start + sum of A·sin(n·phi + phi0), in the unit of start and A."""
-    return _wave_sum(p, first, slots, angle_rad, start) if is_any(p, first, _WAVE, slots) else start
+def wave_sum(slots: Slots, scale: float, angle: float, start: float) -> float:
+    """Start + sum of A·sin(scale·n·angle + phi0), in the unit of start and A."""
+    return _wave_sum(slots, scale, angle, start) if is_any(slots, 0) else start
 
 
 @compiled
-def _wave_sum(p: Vector, first: int, slots: int, angle_rad: float, start: float) -> float:
+def _wave_sum(slots: Slots, scale: float, angle: float, start: float) -> float:
     noinline()
     total = start
-    for slot in range(slots):
-        at = first + _WAVE * slot
-        if p[at] != 0.0:
-            total += p[at] * sin(p[at + 1] * angle_rad + p[at + 2])
+    for slot in range(len(slots)):
+        if slots[slot, 0] != 0.0:
+            total += slots[slot, 0] * sin(scale * slots[slot, 1] * angle + slots[slot, 2])
     return total
 
 
@@ -84,13 +82,6 @@ def past_torque_Nm(s: Vector, past: int, ring: int, count: int, samples: float) 
 def measured_direction(speed: float, width: float) -> float:
     """Sign of a measured speed, linear within ±`width` (same unit): -1 to 1."""
     return min(max(speed / width, -1.0), 1.0)
-
-
-@inlined
-def before_load_friction(load_share: float, passed: float, direction: float) -> float:
-    """Torque or force before load-dependent friction, from the passed-on one, for motion in `direction` (-1 to 1)."""
-    sign = 1.0 if passed > 0.0 else -1.0
-    return passed / (1.0 - sign * direction * load_share)
 
 
 @inlined

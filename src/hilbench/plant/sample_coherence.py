@@ -8,11 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from struct import pack_into
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import REAL, VECTOR, compiled, entry_point
+from hilbench.compiled import (
+    REAL,
+    VECTOR,
+    Record,
+    compiled,
+    entry_point,
+    interpreted,
+    record_at,
+    record_in,
+    record_type,
+)
 
 Vector = NDArray[np.float64]
 
@@ -31,91 +42,79 @@ _ON_ITS_WAY = {"m": 20.0, "rad": 2e3}
 #: Most successive cycles refused because the axes' travels give different numbers of cycles.
 _MOST_REFUSED = 5
 
-#: State of `coherent` (4 + N,): cycles since the positions were last coherent, the travel of a cycle (below 0:
-#: unknown), incoherent cycles, whether there are positions; then the positions.
-_CYCLES, _TRAVEL, _UNPAIRED, _STARTED, _LAST = range(5)
+#: State of `coherent`, before the last positions (N,): cycles since these were coherent, the travel of a cycle (below
+#: 0: unknown), incoherent cycles, whether there are positions.
+COHERENCE: Final = record_type("cycles", "travel", "unpaired", "started")
+_LAST: Final = COHERENCE.itemsize // 8
 
 
 def coherence_state(rollers: int) -> Vector:
     """Initial state of `coherent` for so many rollers."""
     state: Vector = np.zeros(_LAST + rollers)
-    state[_TRAVEL] = -1.0
+    record_at(state, COHERENCE).travel = -1.0
     return state
 
 
-@compiled
+@entry_point(VECTOR, VECTOR, REAL, allocates=False)
 def coherent(state: Vector, positions: Vector, least_travel: float) -> bool:
     """True if positions (N,) are of one instant; see `SampleCoherence`."""
-    state[_CYCLES] += 1.0
-    count = len(positions)
-    if state[_STARTED] != 0.0:
+    c, last = record_in(state, 0, COHERENCE), state[_LAST:]
+    c.cycles += 1.0
+    if c.started != 0.0:
         longest, shortest, total = 0.0, np.inf, 0.0
-        for k in range(count):
-            travel = abs(positions[k] - state[_LAST + k])
+        for k in range(len(positions)):
+            travel = abs(positions[k] - last[k])
             total += travel
             if travel > longest:
                 longest = travel
             if travel < shortest:
                 shortest = travel
-        travel = longest / state[_CYCLES]
-        if state[_TRAVEL] >= 0.0:
-            travel = min(travel, max(_LONGER * state[_TRAVEL], least_travel))
+        travel = longest / c.cycles
+        if c.travel >= 0.0:
+            travel = min(travel, max(_LONGER * c.travel, least_travel))
         if not np.isfinite(total) or longest - shortest > max(least_travel, _ALIKE * travel):
-            state[_UNPAIRED] += 1.0
+            c.unpaired += 1.0
             return False
-        state[_TRAVEL] = travel
-    for k in range(count):
-        state[_LAST + k] = positions[k]
-    state[_STARTED], state[_CYCLES] = 1.0, 0.0
+        c.travel = travel
+    for k in range(len(positions)):
+        last[k] = positions[k]
+    c.started, c.cycles = 1.0, 0.0
     return True
 
 
 #: State of `increments_steadily`: allowed change of a cycle's travel, m; the last position and whether there is one;
 #: the travel of a cycle and whether it is known; cycles since without a position.
-_MOST_M, _LAST_M, _HAS_LAST, _TRAVEL_M, _HAS_TRAVEL, STEADY_MISSED, _STEADY_SIZE = range(7)
+STEADY: Final = record_type("most_m", "last_m", "has_last", "travel_m", "has_travel", "missed")
 
 
 @compiled
-def increments_steadily(state: Vector, x_m: float) -> bool:
+def increments_steadily(state: Record, x_m: float) -> bool:
     """True if Δx fits (1 + missed) cycles at the last speed within the largest acceleration; see `IncrementCheck`."""
-    cycles, last_m, before_m = state[STEADY_MISSED] + 1.0, state[_LAST_M], state[_TRAVEL_M]
-    had_last, had_travel = state[_HAS_LAST] != 0.0, state[_HAS_TRAVEL] != 0.0
-    state[_LAST_M], state[_HAS_LAST], state[STEADY_MISSED] = x_m, 1.0, 0.0
+    cycles, last_m, before_m = state.missed + 1.0, state.last_m, state.travel_m
+    had_last, had_travel = state.has_last != 0.0, state.has_travel != 0.0
+    state.last_m, state.has_last, state.missed = x_m, 1.0, 0.0
     if not had_last:
         return True
-    state[_TRAVEL_M], state[_HAS_TRAVEL] = (x_m - last_m) / cycles, 1.0
-    return bool(not had_travel or abs(state[_TRAVEL_M] - before_m) <= state[_MOST_M] * cycles + _ALIKE * abs(before_m))
+    state.travel_m, state.has_travel = (x_m - last_m) / cycles, 1.0
+    return bool(not had_travel or abs(state.travel_m - before_m) <= state.most_m * cycles + _ALIKE * abs(before_m))
 
 
 @compiled
-def miss(state: Vector) -> None:
-    """Count a cycle without positions of its own."""
-    state[_CYCLES] += 1.0
-
-
-@compiled
-def _fits(travels: Vector, usual: Vector, plays: Vector, elapsed: float) -> bool:
-    """True if these travels fit so many cycles, at any possible acceleration of a machine."""
+def _fits(travels: Vector, usual: Vector, plays: Vector, elapsed: float, fastest: int) -> bool:
+    """True if these travels fit so many cycles, at any possible acceleration of a machine, and all axes have gone as
+    far as the fastest, whose travel gives the common acceleration: after many cycles one that is a cycle further would
+    else pass as accelerated more."""
+    turns, spare = usual[fastest] != 0.0, max(_APART * elapsed, 1.0)
+    cycles = travels[fastest] / usual[fastest] if turns else 0.0
     fits = True
     for k in range(len(travels)):
-        fits &= abs(travels[k] - elapsed * usual[k]) <= _ALIKE * abs(usual[k]) + elapsed * elapsed * plays[k]
+        share = _ALIKE * abs(usual[k])
+        fits &= abs(travels[k] - elapsed * usual[k]) <= share + elapsed * elapsed * plays[k]
+        fits &= not turns or abs(travels[k] - cycles * usual[k]) <= share + spare * plays[k]
     return fits
 
 
-@compiled
-def _agree(travels: Vector, usual: Vector, plays: Vector, elapsed: float, fastest: int) -> bool:
-    """True if all axes have gone as far as the fastest, whose travel gives the common acceleration: after many cycles
-    one that is a cycle further would else pass as accelerated more."""
-    if usual[fastest] == 0.0:
-        return True
-    cycles, spare = travels[fastest] / usual[fastest], max(_APART * elapsed, 1.0)
-    agree = True
-    for k in range(len(travels)):
-        agree &= abs(travels[k] - cycles * usual[k]) <= _ALIKE * abs(usual[k]) + spare * plays[k]
-    return agree
-
-
-@compiled
+@entry_point(VECTOR, VECTOR, VECTOR, REAL, allocates=False)
 def whole_cycles(travels: Vector, usual: Vector, plays: Vector, reported: float) -> float:
     """Compiled `cycles_elapsed`; -1 where they disagree."""
     fastest = 0
@@ -126,16 +125,16 @@ def whole_cycles(travels: Vector, usual: Vector, plays: Vector, reported: float)
     if usual[fastest] != 0.0:
         by_travel = max(np.rint(travels[fastest] / usual[fastest]), 0.0)
     is_clear = _ALIKE * abs(usual[fastest]) > plays[fastest]
-    if not is_clear and _fits(travels, usual, plays, reported) and _agree(travels, usual, plays, reported, fastest):
+    if not is_clear and _fits(travels, usual, plays, reported, fastest):
         return reported
-    agree = _fits(travels, usual, plays, by_travel) and _agree(travels, usual, plays, by_travel, fastest)
-    return by_travel if agree else -1.0
+    return by_travel if _fits(travels, usual, plays, by_travel, fastest) else -1.0
 
 
 #: State of `own_travels`: cycles since positions were accepted, and number refused since; cycles between the last two
 #: accepted, and those since without positions; whether there are any, and whether the travel of a cycle is known. Then,
 #: of each axis, its last position, the travel of a cycle, room for a travel, and its largest change.
-_SINCE, _REFUSED, OWN_ELAPSED, OWN_BEHIND, _HAS_POSITIONS, _HAS_USUAL, _OF_AXES = range(7)
+OWN: Final = record_type("since", "refused", "elapsed", "behind", "has_positions", "has_usual")
+_OF_AXES: Final = OWN.itemsize // 8
 
 
 def own_travels_state(axes: int, play: float) -> Vector:
@@ -148,39 +147,40 @@ def own_travels_state(axes: int, play: float) -> Vector:
 @compiled
 def miss_own(state: Vector) -> None:
     """Count a cycle without positions of its own."""
-    state[_SINCE] += 1.0
-    state[OWN_BEHIND] += 1.0
+    own = record_in(state, 0, OWN)
+    own.since += 1.0
+    own.behind += 1.0
 
 
-@compiled
+@entry_point(VECTOR, VECTOR, allocates=False)
 def own_travels(state: Vector, positions: Vector) -> bool:
     """True if positions (N,) are of one instant; see `OwnIncrements`."""
     miss_own(state)
-    n = len(positions)
+    own, n = record_in(state, 0, OWN), len(positions)
     last, usual = state[_OF_AXES : _OF_AXES + n], state[_OF_AXES + n : _OF_AXES + 2 * n]
     travels, plays = state[_OF_AXES + 2 * n : _OF_AXES + 3 * n], state[_OF_AXES + 3 * n :]
-    if state[_HAS_POSITIONS] == 0.0:
-        state[OWN_BEHIND] = 0.0
+    if own.has_positions == 0.0:
+        own.behind = 0.0
     else:
         for k in range(n):
             travels[k] = positions[k] - last[k]
-        elapsed = state[_SINCE]
-        if state[_HAS_USUAL] != 0.0:
-            elapsed = whole_cycles(travels, usual, plays, state[_SINCE])
-        if elapsed < 0.0 and state[_REFUSED] < _MOST_REFUSED:
-            state[_REFUSED] += 1.0
+        elapsed = own.since
+        if own.has_usual != 0.0:
+            elapsed = whole_cycles(travels, usual, plays, own.since)
+        if elapsed < 0.0 and own.refused < _MOST_REFUSED:
+            own.refused += 1.0
             return False
-        elapsed = state[_SINCE] if elapsed < 0.0 else elapsed
+        elapsed = own.since if elapsed < 0.0 else elapsed
         # Up to one cycle ahead of the count: a SYNC that was sent late, and the next one on time.
-        state[OWN_BEHIND] = max(state[OWN_BEHIND] - elapsed, 0.0 if elapsed == 1.0 else -1.0)
-        state[OWN_ELAPSED] = elapsed
+        own.behind = max(own.behind - elapsed, 0.0 if elapsed == 1.0 else -1.0)
+        own.elapsed = elapsed
         if elapsed > 0.0:
             for k in range(n):
                 usual[k] = travels[k] / elapsed
-            state[_HAS_USUAL] = 1.0
+            own.has_usual = 1.0
     for k in range(n):
         last[k] = positions[k]
-    state[_HAS_POSITIONS], state[_SINCE], state[_REFUSED] = 1.0, 0.0, 0.0
+    own.has_positions, own.since, own.refused = 1.0, 0.0, 0.0
     return True
 
 
@@ -189,24 +189,7 @@ def forget_own_travels(state: Vector) -> None:
     state[:_OF_AXES] = 0.0
 
 
-@entry_point(VECTOR, VECTOR, REAL)
-def _coherent(state: Vector, positions: Vector, least_travel: float) -> bool:
-    return coherent(state, positions, least_travel)
-
-
-@entry_point(VECTOR, REAL)
-def _increments_steadily(state: Vector, x_m: float) -> bool:
-    return increments_steadily(state, x_m)
-
-
-@entry_point(VECTOR, VECTOR)
-def _own_travels(state: Vector, positions: Vector) -> bool:
-    return own_travels(state, positions)
-
-
-@entry_point(VECTOR, VECTOR, VECTOR, REAL)
-def _whole_cycles(travels: Vector, usual: Vector, plays: Vector, reported: float) -> float:
-    return whole_cycles(travels, usual, plays, reported)
+_increments_steadily = interpreted(increments_steadily)
 
 
 class SampleCoherence:
@@ -224,15 +207,16 @@ class SampleCoherence:
     @property
     def unpaired(self) -> int:
         """Number of incoherent cycles."""
-        return int(self._state[_UNPAIRED])
+        return int(record_at(self._state, COHERENCE).unpaired)
 
     def reset(self) -> None:
         """Accept the next positions unchecked."""
-        self._state[_CYCLES], self._state[_TRAVEL], self._state[_STARTED] = 0.0, -1.0, 0.0
+        state = record_at(self._state, COHERENCE)
+        state.cycles, state.travel, state.started = 0.0, -1.0, 0.0
 
     def miss(self) -> None:
         """Count a cycle without positions of its own."""
-        self._state[_CYCLES] += 1.0
+        record_at(self._state, COHERENCE).cycles += 1.0
 
     def vectors(self, rollers: int) -> tuple[Vector, Vector]:
         """State of `coherent` for so many rollers, and their positions (N,): for compiled callers."""
@@ -245,7 +229,7 @@ class SampleCoherence:
         """True if this cycle's positions of all rollers, in m at the web, are of one instant."""
         self.vectors(len(positions_m))
         pack_into(self._format, self._positions.data, 0, *positions_m)
-        return _coherent(self._state, self._positions, self._least_travel)
+        return coherent(self._state, self._positions, self._least_travel)
 
 
 class IncrementCheck:
@@ -256,16 +240,17 @@ class IncrementCheck:
     """
 
     def __init__(self, cycle_s: float) -> None:
-        self.state: Vector = np.zeros(_STEADY_SIZE)  #: of `increments_steadily`
-        self.state[_MOST_M] = _FASTEST_M_S2 * cycle_s**2
+        self.vector: Vector = np.zeros(STEADY.itemsize // 8)
+        self.state = record_at(self.vector, STEADY)  #: of `increments_steadily`
+        self.state.most_m = _FASTEST_M_S2 * cycle_s**2
 
     def reset(self) -> None:
         """Accept the next position unchecked."""
-        self.state[_HAS_LAST] = self.state[_HAS_TRAVEL] = self.state[STEADY_MISSED] = 0.0
+        self.state.has_last = self.state.has_travel = self.state.missed = 0.0
 
     def miss(self) -> None:
         """Count a cycle without a position of its own."""
-        self.state[STEADY_MISSED] += 1.0
+        self.state.missed += 1.0
 
     def update(self, x_m: float) -> bool:
         """True if this cycle's position, in m at the web, is one cycle after the last, and after those missed since."""
@@ -290,12 +275,12 @@ class OwnIncrements:
     @property
     def elapsed(self) -> int:
         """Cycles between the last two accepted positions."""
-        return int(self._state[OWN_ELAPSED])
+        return int(record_at(self._state, OWN).elapsed)
 
     @property
     def behind(self) -> int:
         """Cycles since then without positions."""
-        return int(self._state[OWN_BEHIND])
+        return int(record_at(self._state, OWN).behind)
 
     def miss(self) -> None:
         """Count a cycle without positions of its own."""
@@ -304,7 +289,7 @@ class OwnIncrements:
     def update(self, *positions: float) -> bool:
         """True if this cycle's positions of all axes, in the machine's unit, are of one instant."""
         self._positions[:] = positions
-        return _own_travels(self._state, self._positions)
+        return own_travels(self._state, self._positions)
 
 
 def play(position_unit: str, cycle_s: float) -> float:
@@ -322,5 +307,5 @@ def cycles_elapsed(
     reported: number of cycles by some clock. Axes that are too slow to show it count as by the clock, unless they can't
     have come so far in that time. None where they disagree, or the travel is none of whole cycles.
     """
-    found = _whole_cycles(np.array(travels), np.array(usual), np.array(plays), float(reported))
+    found = whole_cycles(np.array(travels), np.array(usual), np.array(plays), float(reported))
     return None if found < 0.0 else int(found)

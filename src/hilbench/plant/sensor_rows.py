@@ -8,35 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import compiled, table_of
+from hilbench.compiled import table_of
 from hilbench.cycle_program import CompiledStage, Function
 from hilbench.plant.sensors import SensorNoise
 
 #: In place of the next step's row: one row for all steps.
-_ALWAYS_FIRST = -1
+ALWAYS_FIRST = -1
 
 
 def silence(motors: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Numbers (1, 3 M), and the row of the next step (1,), without noise."""
-    return np.full((1, 3 * motors), -0.0), np.array([_ALWAYS_FIRST])  # adding -0.0 keeps the sign
-
-
-@compiled
-def take_row(rows: NDArray[np.float64], next_row: NDArray[np.int64]) -> int:
-    """Index of this step's numbers in the rows (B, 3 M); -1: they have to be drawn anew."""
-    at = next_row[0]
-    if at == _ALWAYS_FIRST:
-        return 0
-    if at == len(rows):
-        return -1
-    next_row[0] += 1
-    return int(at)
+    return np.full((1, 3 * motors), -0.0), np.array([ALWAYS_FIRST])  # adding -0.0 keeps the sign
 
 
 def chained_with_noise(
-    function: Function, argument: int, vectors: Sequence[NDArray[Any]], noise: SensorNoise | None
+    function: Function, argument: int, vectors: Sequence[Any], noise: SensorNoise | None
 ) -> CompiledStage:
-    """Compiled stage of a step, by a function that takes a row as above, and does nothing where there is none."""
+    """Compiled stage of a step, by a function that takes the next row, and does nothing where there is none."""
     table = table_of(vectors)
 
     def draw(_: int) -> bool:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from hilbench.block import Block
-from hilbench.plant.motor_port import MotorPort
 
 
 class SensorParameters(Block):
@@ -21,6 +20,12 @@ class SensorParameters(Block):
         default=0.0, ge=0.0, description="standard deviation of the position, before it is counted"
     )
     encoder_rad_per_count: float = Field(default=0.0, ge=0.0, description="resolution of the encoder")
+
+    @property
+    def figures(self) -> tuple[float, float, float, float]:
+        """Standard deviations of position, velocity and torque, and the encoder's increment (0: none), in rad."""
+        noise = self.position_noise_rad, self.velocity_noise_rad_s, self.torque_noise_Nm
+        return (*noise, self.encoder_rad_per_count)
 
 
 class SensorNoise:
@@ -48,41 +53,3 @@ class SensorNoise:
         self.next[0] += 1
         row: NDArray[np.float64] = self.rows[self.next[0] - 1].copy()
         return row
-
-
-class Sensors:
-    """Measured torque, velocity and position of one motor's sensors, each with a standard normal number."""
-
-    def __init__(self, parameters: SensorParameters) -> None:
-        self._torque_noise_Nm = parameters.torque_noise_Nm
-        self._velocity_noise_rad_s = parameters.velocity_noise_rad_s
-        self._position_noise_rad = parameters.position_noise_rad
-        self._rad_per_count = parameters.encoder_rad_per_count
-
-    @property
-    def figures(self) -> tuple[float, float, float, float]:
-        """Standard deviations of position, velocity and torque, and the encoder's increment (0: none), in rad."""
-        return self._position_noise_rad, self._velocity_noise_rad_s, self._torque_noise_Nm, self._rad_per_count
-
-    def torque_Nm(self, true: float, number: float) -> float:
-        """Measured torque."""
-        return true + self._torque_noise_Nm * number
-
-    def velocity_rad_s(self, true: float, number: float) -> float:
-        """Measured velocity."""
-        return true + self._velocity_noise_rad_s * number
-
-    def position_rad(self, true: float, number: float) -> float:
-        """Measured position: noise, then whole counts."""
-        position = true + self._position_noise_rad * number
-        count = self._rad_per_count
-        return round(position / count) * count if count > 0.0 else position
-
-
-def show(ports: Sequence[MotorPort], sensors: Sequence[Sensors], noise: SensorNoise) -> None:
-    """Apply the sensors' errors to each port's exact feedback at this step."""
-    numbers = iter(noise.row().tolist())
-    for port, shown in zip(ports, sensors, strict=True):
-        port.position_rad = shown.position_rad(port.position_rad, next(numbers))
-        port.velocity_rad_s = shown.velocity_rad_s(port.velocity_rad_s, next(numbers))
-        port.torque_Nm = shown.torque_Nm(port.torque_Nm, next(numbers))

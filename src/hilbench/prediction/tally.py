@@ -10,7 +10,6 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import table_of
 from hilbench.prediction.judging import FARTHEST, NEVER, TallyVectors
 from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
 
@@ -63,11 +62,6 @@ class Tally:
             nearest=np.asarray(levels.min(axis=1) - FARTHEST * offsets.noise, np.float64),
         )
         return cls(watched, step_s, every, vectors)
-
-    @property
-    def table(self) -> NDArray[np.int64]:
-        """Addresses of its vectors, for `judging.of_table`."""
-        return table_of(self.vectors)
 
     def outlook(self, now_s: float) -> Outlook:
         """Outlook of futures that have run from `now_s` on."""

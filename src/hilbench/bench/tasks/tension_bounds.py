@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import Record, Records, compiled, record_type
 from hilbench.plant.motor_laws import measured_direction
-from hilbench.plant.web_line import laws
-from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import laws, records
 
 Vector = NDArray[np.float64]
 
@@ -117,18 +116,14 @@ def stretch(
 @compiled
 def driving_N(p: Vector, axis: int, torque_Nm: float, v_m_s: float) -> float:
     """Force at the web of a motor less its roller's resistance, by the parameters of a line; `axis` from 0."""
-    of_axis = lay.W_SIZE + axis * lay.A_SIZE
-    motor = lay.W_SIZE + int(p[lay.W_AXES]) * lay.A_SIZE + axis * lay.M_SIZE
-    direction = measured_direction(v_m_s, laws.FRICTION_WIDTH_M_S)
-    shaft_Nm = laws.shaft_torque_Nm(p, motor, laws.true_torque_Nm(p, motor, torque_Nm), 0.0)
-    passed_N = laws.passed_on_N(p, of_axis, p[motor + lay.M_RAD_PER_M] * shaft_Nm, direction)
-    return float(passed_N - laws.measured_resistance_N(p, of_axis, 0.0, v_m_s, direction))
+    line = records.of_parameters(p)
+    return float(laws.measured_drive_N(records.axis(line, axis), records.motor(line, axis), torque_Nm, 0.0, v_m_s))
 
 
 @compiled
 def sticking_N(p: Vector, axis: int) -> float:
     """Dry friction of the model by which a roller at rest may hold either way, N."""
-    return float(laws.breakaway_N(p, lay.W_SIZE + axis * lay.A_SIZE))
+    return float(laws.breakaway_N(records.axis(records.of_parameters(p), axis)))
 
 
 @compiled

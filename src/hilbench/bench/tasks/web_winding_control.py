@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from math import copysign, cos, pi, sin
 from typing import Final
 
+from hilbench.compiled import Record
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -23,8 +24,6 @@ from hilbench.plant.web_line.stations import Accumulator, Dancer, LineCarriage, 
 ROUNDED: Final = 2.0 / 9.0
 #: Speed below which dry friction is compensated in proportion to it, m/s: a part at rest may stick either way.
 _STANDSTILL_M_S = 2e-4
-_DRY_N = lay.place("coulomb_friction", "force_N")
-_VISCOUS_N_S_PER_M = lay.place("viscous_friction", "coefficient_N_s_per_m")
 
 
 def eased(time: float, rounded: float = ROUNDED) -> tuple[float, float]:
@@ -202,9 +201,9 @@ class CarriageForce:
         between = rows[carriage.first_span : carriage.last_span]
         self._rollers = [Resisting.of_row(row, moved, held, held) for row in between]
         self._carriage = Resisting.of_row(own, moved, held, 1.0)
-        self._spring_N_per_m: float = own.item(lay.A_SPRING_N_PER_M)
+        self._spring_N_per_m: float = float(own.spring_N_per_m)
         self._rest_m = carriage.station.spring_rest_m
-        self._more_N: float = own.item(lay.A_FORCE_N) - carriage.station.force_N  # an effect of the model
+        self._more_N: float = float(own.force_N) - carriage.station.force_N  # an effect of the model
 
     def force_N(
         self,
@@ -248,10 +247,10 @@ class Resisting:
     viscous_N_s_per_m: float
 
     @classmethod
-    def of_row(cls, row: lay.Vector, moved: float, dry: float, viscous: float) -> Resisting:
-        """Make from the row of an axis (`hilbench.plant.web_line.layout`), times these."""
-        mass_kg, dry_N, viscous_N_s_per_m = row[[lay.A_ROLLER_MASS_KG, _DRY_N, _VISCOUS_N_S_PER_M]].tolist()
-        return cls(moved * mass_kg, dry * dry_N, viscous * viscous_N_s_per_m)
+    def of_row(cls, row: Record, moved: float, dry: float, viscous: float) -> Resisting:
+        """Make from the `AXIS` of a roller or carriage (`hilbench.plant.web_line.layout`), times these."""
+        dry_N, viscous_N_s_per_m = row.coulomb_friction.force_N, row.viscous_friction.coefficient_N_s_per_m
+        return cls(moved * float(row.roller_mass_kg), dry * float(dry_N), viscous * float(viscous_N_s_per_m))
 
     def friction_N(self, speed_m_s: float) -> float:
         """Against its motion."""

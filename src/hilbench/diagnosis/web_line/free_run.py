@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from hilbench.compiled import record_at
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Before, Measured
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.residual_analysis import Condition
@@ -49,7 +50,6 @@ _TURNS_S: Final = 0.5
 _PLACES: Final = 40
 #: Steps of the creep within which the slow mode is one, 1/N.
 _CREEP_STEP: Final = 5e-8
-_CREEP: Final = lay.place("web_slip", "creep_per_N")
 #: A change of a torque by which its response is looked at, N·m.
 _A_TORQUE_NM: Final = 0.01
 #: The same of a position, m.
@@ -195,8 +195,8 @@ class FreeRun:
                 y[n + axis - 1] = y[3 * n + axis - 1] = speed
                 torque = float(np.mean(data.tau_Nm[axis][:25])) if axis in data.tau_Nm else 0.0
                 motor = layout.motor_states(state)[axis - 1]
-                motor[[lay.SM_TORQUE_NM, lay.SM_COMMAND_NM, lay.SM_INTEGRAL_NM]] = torque
-                motor[lay.SM_REFERENCE] = speed * self._model.motor_rad_per_m(axis)
+                motor.torque_Nm = motor.command_Nm = motor.integral_Nm = torque
+                motor.reference = speed * self._model.motor_rad_per_m(axis)
         return state
 
     def _begin_after(self, before: Before, parameters: Array, state: Array) -> None:
@@ -212,7 +212,7 @@ class FreeRun:
             parameters, before.x_m, before.boundary, self._period_s, before.strain
         )
         lay.set_strain(parameters, state, strain)
-        entering_N = before.boundary[:, :1] * parameters[lay.W_UPSTREAM_STIFFNESS_N]
+        entering_N = before.boundary[:, :1] * record_at(parameters, lay.WEB).upstream_stiffness_N
         around_N = np.column_stack([entering_N, tension_N, before.boundary[:, 1]])
         for axis in self._pulled:
             x, v = y.item(axis - 1), y.item(n + axis - 1)
@@ -225,10 +225,10 @@ class FreeRun:
                 float(np.mean([driving_force_N(parameters, axis, torque, float(place), v) for place in places]))
                 for torque in (0.0, 1.0)
             )
-            motor = lay.W_SIZE + n * lay.A_SIZE + (axis - 1) * lay.M_SIZE
-            torque_Nm = laws.true_torque_Nm(parameters, motor, (pull_N - idle_N) / (driven_N - idle_N))
+            motor, drive = layout.motor_rows(parameters)[axis - 1], layout.motor_states(state)[axis - 1]
+            torque_Nm = laws.true_torque_Nm(motor, (pull_N - idle_N) / (driven_N - idle_N))
             torque_Nm += self._more_Nm.item(axis - 1)
-            layout.motor_states(state)[axis - 1, [lay.SM_TORQUE_NM, lay.SM_COMMAND_NM, lay.SM_INTEGRAL_NM]] = torque_Nm
+            drive.torque_Nm = drive.command_Nm = drive.integral_Nm = torque_Nm
 
     def _choose_hold(self, data: Measured) -> None:
         """A recording coarser than the cycle: were commands held, or did they go on between its rows?"""
@@ -262,7 +262,7 @@ class FreeRun:
         With a stiff web the loop forgets that only over E·S/(v·ki·(i/r)²), which is seconds; and nobody knows
         it to better than what the torque swings by. Of what a model may lack only creep makes it much quicker.
         """
-        creep = lay.Layout.of(parameters).span_rows(parameters)[:, _CREEP]
+        creep = lay.Layout.of(parameters).span_rows(parameters).web_slip.creep_per_N
         key = tuple(np.round(creep / _CREEP_STEP).astype(int).tolist())
         if key not in self._slow:
             begun = self._pulled if self._before is not None else []
@@ -322,7 +322,7 @@ class FreeRun:
             rows = lay.Layout.of(one).motor_rows(one)
             for loop in self._loops:
                 row = rows[loop.axis - 1]
-                row[[lay.M_KP, lay.M_KI, lay.M_CURRENT_S]] = loop.kp_Nm_s_per_rad, loop.ki_Nm_per_rad, loop.lag_s
+                row.kp, row.ki, row.current_s = loop.kp_Nm_s_per_rad, loop.ki_Nm_per_rad, loop.lag_s
         return changed
 
     def _stretch_m(self, name: str) -> float:

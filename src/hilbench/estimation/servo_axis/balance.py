@@ -20,8 +20,9 @@ from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.shaft import look
-from hilbench.plant.servo_axis.tracking_filter import ORDER, follow, gains, later, transition
-from hilbench.plant.web_line import laws
+from hilbench.plant.servo_axis.tracking_filter import ORDER, gains, transition
+from hilbench.plant.web_line import laws, records
+from hilbench.plant.web_line.shaft_load import follow, later
 
 #: Encoder noise assumed until it is measured, and its least value.
 _POSITION_NOISE_RAD, _POSITION_FLOOR_RAD = 3e-6, 1e-7
@@ -160,10 +161,10 @@ def _fill(
     unforeseen_Nm = u.inertia_kg_m2 * s.unforeseen_rad_s2
     u.duration_s = duration_s
     # On the shaft by the model: without offset, friction and unbalance.
-    motor_Nm = laws.shaft_torque_Nm(v.p, lay.MOTOR, laws.true_torque_Nm(v.p, lay.MOTOR, torque), x)
-    turns = measured_direction(speed, _STANDSTILL_RAD_S)
-    resistance_Nm = laws.measured_resistance_N(v.p, lay.AXIS, x, speed, turns)
-    u.torque_Nm = laws.passed_on_N(v.p, lay.AXIS, motor_Nm, turns) - resistance_Nm
+    line, turns = records.of_parameters(v.p), measured_direction(speed, _STANDSTILL_RAD_S)
+    axis, motor = records.axis(line, 0), records.motor(line, 0)
+    motor_Nm = laws.shaft_torque_Nm(motor, laws.true_torque_Nm(motor, torque), x)
+    u.torque_Nm = laws.passed_on_N(axis, motor_Nm, turns) - laws.measured_resistance_N(axis, x, speed, turns)
     u.acceleration_rad_s2 = a if significant and _excites(v, a) else 0.0
     u.torque_variance = (
         noise_level.variance(v.torque)

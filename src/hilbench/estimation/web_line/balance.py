@@ -13,13 +13,13 @@ from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import Reals, compiled, inlined, record_type
+from hilbench.compiled import Reals, Record, compiled, inlined, record_type
 from hilbench.plant.motor_laws import measured_direction
-from hilbench.plant.web_line import laws, line_kernel, places, splice_laws
+from hilbench.plant.web_line import kernel, laws, line_kernel, motion, records, splice_laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.line_follower import LineFollower
-from hilbench.plant.web_line.line_vectors import LineVectors
+from hilbench.plant.web_line.line_vectors import LineVectors, arrays
 from hilbench.plant.web_line.parameters import ModelParameters
 
 _AXIS = 1  #: index of axis 2
@@ -27,7 +27,6 @@ _AXIS = 1  #: index of axis 2
 #: the unstretched web between them; columns of its tension and strain in the outputs.
 _SPEED, _UNSTRETCHED = lay.S_Y + 2, lay.S_Y + 8
 _TENSION, STRAIN = 6, 7
-_CREEP = lay.place("web_slip", "creep_per_N")
 #: Relative change of E that is passed to the follower: its creep and damping depend on it.
 _WORTH_TELLING = 1e-4
 
@@ -62,21 +61,17 @@ class BalanceVectors(NamedTuple):
 def measured_force_N(p: Vector, torque_Nm: float, x_m: float, v_m_s: float, f_next_N: float) -> float:
     """Web force on roller 2 (N, including `f_next_N`) from a line's parameters, measured torque (N·m), position and
     speed of the roller at the web (m, m/s), and the tension after it (N)."""
-    n = int(p[lay.W_AXES])
-    axis = lay.W_SIZE + _AXIS * lay.A_SIZE
-    motor = lay.W_SIZE + n * lay.A_SIZE + _AXIS * lay.M_SIZE
-    ratio = p[motor + lay.M_RAD_PER_M]
-    torque = laws.shaft_torque_Nm(p, motor, laws.true_torque_Nm(p, motor, torque_Nm), x_m * ratio)
-    direction = measured_direction(v_m_s, laws.FRICTION_WIDTH_M_S)
-    resistance = laws.measured_resistance_N(p, axis, x_m, v_m_s, direction)
-    return float(laws.passed_on_N(p, axis, ratio * torque, direction) + f_next_N - resistance)
+    line, direction = records.of_parameters(p), measured_direction(v_m_s, laws.FRICTION_WIDTH_M_S)
+    axis, motor = records.axis(line, _AXIS), records.motor(line, _AXIS)
+    torque = laws.shaft_torque_Nm(motor, laws.true_torque_Nm(motor, torque_Nm), x_m * motor.rad_per_m)
+    resistance = laws.measured_resistance_N(axis, x_m, v_m_s, direction)
+    return float(laws.passed_on_N(axis, motor.rad_per_m * torque, direction) + f_next_N - resistance)
 
 
 @inlined
-def modulus_place(p: Vector) -> int:
-    """Parameter index of E of the first span."""
-    n, m, _ = places.counts(p)
-    return places.first_span(n, m) + lay.SP_MODULUS_PA
+def _span(balance: BalanceVectors) -> Record:
+    """`SPAN` of the web between the rollers."""
+    return records.span(arrays(balance.web), 0)
 
 
 @inlined
@@ -100,15 +95,14 @@ def roller_speed_m_s(balance: BalanceVectors, roller: int) -> float:
 @compiled
 def spliced(balance: BalanceVectors) -> tuple[bool, float, float]:
     """True if there are pieces of other web; their effect on the span (`SplicedSpan`)."""
-    p, s, u = balance.web.p, balance.web.s, balance.web.u
-    pieces = len(s) - lay.PIECES_SIZE
-    if not s[pieces + lay.PIECES_COUNT] > 0.0:
+    line = arrays(balance.web)
+    pieces = records.pieces(line)
+    if not pieces.count > 0.0:
         return False, 1.0, 1.0
-    time_s = s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S]
-    stretch = 1.0 + laws.upstream_strain(p, u[lay.U_STRAIN_PREV], time_s)
-    travel_m, unstretched_m = s[lay.S_Y], s[_UNSTRETCHED]
-    factor = splice_laws.series_factor(s, pieces, travel_m, 0.0, unstretched_m, stretch)
-    at_end = 1.0 + splice_laws.change_at(s, pieces, travel_m, unstretched_m, stretch, lay.LEAST_BLUR_M)
+    stretch = 1.0 + motion.strain_prev(line, kernel.time_s(line))
+    travel_m, unstretched_m = line.s[lay.S_Y], line.s[_UNSTRETCHED]
+    factor = splice_laws.series_factor(pieces, travel_m, 0.0, unstretched_m, stretch)
+    at_end = 1.0 + splice_laws.change_at(pieces, travel_m, unstretched_m, stretch, lay.LEAST_BLUR_M)
     return True, factor, at_end
 
 
@@ -118,30 +112,30 @@ def _follow_to(balance: BalanceVectors, x1_m: float, x2_m: float, duration_s: fl
 
     In reverse the web leaves over roller 1 at the creep ratio there.
     """
-    p, s, u, w, out = balance.web
+    line, s = arrays(balance.web), balance.web.s
     v1_m_s, v2_m_s = (x1_m - s[lay.S_Y]) / duration_s, (x2_m - s[lay.S_Y + 1]) / duration_s
     leaving = 1.0 + balance.s.creep_ratio_prev if v1_m_s < 0.0 else 1.0
-    line_kernel.set_speed(p, s, 0, v1_m_s * leaving)
-    line_kernel.set_speed(p, s, 1, v2_m_s)
-    line_kernel.roll_on(p, s, u, w, duration_s, p[lay.W_SAMPLE_TIME_S], line_kernel.LONGEST_STEP_S)
-    line_kernel.observe(p, s, u, w, out)
-    line_kernel.set_speed(p, s, 0, v1_m_s)
-    line_kernel.set_position(p, s, 0, x1_m)  # exactly: no drift from adding up
-    line_kernel.set_position(p, s, 1, x2_m)
+    line_kernel.set_speed(line, 0, v1_m_s * leaving)
+    line_kernel.set_speed(line, 1, v2_m_s)
+    line_kernel.roll_on(line, duration_s, records.web(line).sample_time_s, line_kernel.LONGEST_STEP_S)
+    kernel.observe(*balance.web)
+    line_kernel.set_speed(line, 0, v1_m_s)
+    line_kernel.set_position(line, 0, x1_m)  # exactly: no drift from adding up
+    line_kernel.set_position(line, 1, x2_m)
 
 
 @compiled
 def use_modulus(balance: BalanceVectors, youngs_modulus_Pa: float) -> None:
     """Set E for the web's creep and damping."""
-    at = modulus_place(balance.web.p)
-    if abs(youngs_modulus_Pa / balance.web.p[at] - 1.0) > _WORTH_TELLING:
-        balance.web.p[at] = youngs_modulus_Pa
+    span = _span(balance)
+    if abs(youngs_modulus_Pa / span.modulus_Pa - 1.0) > _WORTH_TELLING:
+        span.modulus_Pa = youngs_modulus_Pa
 
 
 @compiled
 def creep_per_N(balance: BalanceVectors) -> float:
     """Creep over the roller after the span, by the model."""
-    return float(balance.web.p[modulus_place(balance.web.p) - lay.SP_MODULUS_PA + _CREEP])
+    return float(_span(balance).web_slip.creep_per_N)
 
 
 @compiled
@@ -155,33 +149,33 @@ def momentum_balance(
     1: share by which the web before the line pulls the web back over the first roller. What enters has that in its
     strain; in reverse so much more leaves than the roller turns.
     """
-    p, web, u, w, out = balance.web
+    line = arrays(balance.web)
+    outside = records.boundary(line)
     strain_prev, F_next_N, behind_N, strain_next, creep_ratio_prev = around
     s, velocity_m_s = balance.s, 0.0
     if s.started == _FOLLOWS:
         _follow_to(balance, x1_m, x2_m, duration_s)
         velocity_m_s = (x2_m - s.before_m) / duration_s
     s.creep_ratio_prev = creep_ratio_prev
-    changed = u[lay.U_STRAIN_PREV] != strain_prev or s.F_next_N != behind_N
-    u[lay.U_STRAIN_PREV], s.F_next_N = strain_prev, behind_N
+    changed = outside.strain_prev != strain_prev or s.F_next_N != behind_N
+    outside.strain_prev, s.F_next_N = strain_prev, behind_N
     # Strain of the web after roller 2 is its tension over its stiffness; without tension any force without effect does.
-    u[lay.U_F_NEXT_N] = behind_N if behind_N != 0.0 else strain_next
-    p[lay.W_DOWNSTREAM_STIFFNESS_N] = behind_N / strain_next if behind_N != 0.0 else 1.0
+    outside.F_next_N = behind_N if behind_N != 0.0 else strain_next
+    records.web(line).downstream_stiffness_N = behind_N / strain_next if behind_N != 0.0 else 1.0
     if changed:
-        line_kernel.observe(p, web, u, w, out)
+        kernel.observe(*balance.web)
     s.started = _FOLLOWS
     s.before_m = x2_m
     s.x2_m = x2_m
     s.force_N = measured_force_N(balance.p, torque_Nm, x2_m, velocity_m_s, F_next_N)
-    s.web_per_Pa = tension_N(balance) / p[modulus_place(p)]
+    s.web_per_Pa = tension_N(balance) / _span(balance).modulus_Pa
     s.velocity_m_s = velocity_m_s
 
 
 def mass_at_web_kg(p: Vector) -> float:
     """Mass of roller 2 with its motor, at the web, with the model's effects."""
     axis = Layout.of(p).axis_rows(p)[_AXIS]
-    inertia = 1.0 + axis[lay.place("inertia_mismatch", "relative_change")]
-    return float((axis[lay.A_MOTOR_MASS_KG] + axis[lay.A_ROLLER_MASS_KG]) * inertia)
+    return float((axis.motor_mass_kg + axis.roller_mass_kg) * (1.0 + axis.inertia_mismatch.relative_change))
 
 
 class MeasuredBalance:
@@ -201,9 +195,7 @@ class MeasuredBalance:
         self.force_per_torque_per_m = model.motor_rad_per_m(2)  #: i/r
         self.section_m2 = model.section_m2(1)
         self.span_length_m = model.span_length_m(1)
-        self.dry_friction_N = float(
-            axis[lay.place("coulomb_friction", "force_N")] + axis[lay.place("stribeck_friction", "force_N")]
-        )
+        self.dry_friction_N = float(axis.coulomb_friction.force_N + axis.stribeck_friction.force_N)
         self._arrays = np.zeros(1, BALANCE)
         self.state = self._arrays[0]
 

@@ -37,7 +37,7 @@ from hilbench.estimation.web_line import (
 from hilbench.estimation.web_line.balance import BalanceVectors
 from hilbench.estimation.web_line.synchronizers import filters
 from hilbench.estimation.web_line.synchronizers.filters import FilterArrays
-from hilbench.plant.web_line import laws, line_vectors
+from hilbench.plant.web_line import laws, line_vectors, records
 from hilbench.plant.web_line.line_vectors import LineVectors
 
 #: Share of the tension from which on a sudden growth of the force correction restarts the change detectors.
@@ -123,9 +123,11 @@ def _compare(v: SpanEstimatorArrays, measured: tuple[float, ...]) -> int:
     balance.use_modulus(v.balance, t.modulus_Pa)
     creep_per_N, behind_N = balance.creep_per_N(v.balance), F_next_N
     if creep_per_N != 0.0:
-        behind_N = line_vectors.tension_behind_N(v.line, int(t.span), F_next_N)
+        behind_N, behind = F_next_N, int(t.span) + 1
+        if behind < line_vectors.arrays(v.line).k:
+            behind_N = line_vectors.tension_N(v.line, behind)
     if isnan(strain_next):
-        strain_next = laws.downstream_strain(v.balance.p, F_next_N)
+        strain_next = laws.downstream_strain(records.web(records.of_parameters(v.balance.p)), F_next_N)
     duration_s = t.cycle_s + t.missed_s
     around = strain_prev, F_next_N, behind_N, strain_next, creep_ratio_prev
     balance.momentum_balance(v.balance, x1_m, x2_m, torque_Nm, around, duration_s)
@@ -301,8 +303,9 @@ def _transfer(v: SpanEstimatorArrays) -> None:
         else:
             refused = True
     if t.transfers_axes != 0.0 or t.black_box != 0.0:
-        if line_vectors.is_near(line, at, t.position_1_m, t.position_2_m, t.position_limit_m) and (
-            line_vectors.is_as_fast(line, at, v1_m_s, v2_m_s, t.velocity_limit_m_s)
+        speeds = line_vectors.arrays(line).m + at
+        if line_vectors.is_as_at(line, at, t.position_1_m, t.position_2_m, t.position_limit_m) and (
+            line_vectors.is_as_at(line, speeds, v1_m_s, v2_m_s, t.velocity_limit_m_s)
         ):
             line_vectors.put_motion(line, at, t.position_1_m, v1_m_s)
             line_vectors.put_motion(line, at + 1, t.position_2_m, v2_m_s)
@@ -314,7 +317,7 @@ def _transfer(v: SpanEstimatorArrays) -> None:
     t.refused_m = t.refused_m + abs(v1_m_s) * t.cycle_s if refused else 0.0
     if changed:
         line_vectors.show(line)
-        if line_vectors.reports(line):
+        if records.call(line_vectors.arrays(line)).reports != 0.0:
             t.moved = 1.0
 
 

@@ -18,7 +18,7 @@ from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.layout import PARAMETERS
 from hilbench.plant.servo_axis.parameters import ServoRigParameters
 from hilbench.plant.servo_axis.shaft import ServoAxis, ServoRig, Shaft
-from hilbench.plant.web_line.layout import SM_MEAN_NM, Vector
+from hilbench.plant.web_line.layout import Vector
 
 
 class FmuMechanics(WithoutEffects, Shaft):
@@ -48,7 +48,7 @@ class FmuMechanics(WithoutEffects, Shaft):
         self._state[lay.S_X : lay.S_V_BEHIND + 1] = position_rad, speed_rad_s, position_rad, speed_rad_s
 
     def _advance(self, samples: int) -> None:
-        means, sample_s = self._layout.motor_states(self._state)[:, SM_MEAN_NM], self._p.item(lay.P_SAMPLE_TIME_S)
+        means, sample_s = self._layout.motor_states(self._state).mean_Nm, self._p.item(lay.P_SAMPLE_TIME_S)
         means[:] = 0.0
         for _ in range(samples):
             torque = drives.sample(self._p, self._state, self._inputs)

@@ -13,26 +13,24 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, CUBE, MATRIX, REAL, VECTOR, entry_point
+from hilbench.compiled import table_of
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.sampling import on_all_cores, samples_per
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import KIND, find
-from hilbench.plant.servo_axis.emulation import FILTER_CYCLES, load_torque_Nm, most_rad_s2, steepest_Nm_s_per_rad
+from hilbench.plant.servo_axis.emulation import FILTER_CYCLES, most_rad_s2, steepest_Nm_s_per_rad
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.stability import sampled_shaft
-from hilbench.plant.servo_axis.tracking_filter import ORDER, follow, gains, later, transition
-from hilbench.plant.web_line import kernel, laws
+from hilbench.plant.servo_axis.tracking_filter import ORDER, gains, transition
 from hilbench.plant.web_line import layout as line
+from hilbench.plant.web_line import simulation
 from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.shaft_load import ShaftLoad
 
 _INERTIA = lay.place("inertia_mismatch")
 _STEPS = slice(lay.place("inertia_step"), lay.place("inertia_step") + 2 * find("inertia_step").slots)
 _FED_FORWARD = slice(lay.place("feed_forward"), lay.place("feed_forward") + 3)
-#: Motors of the rig, and columns of the axis's speed and torque in the kernel's report.
-_MOTORS = 2
-_SPEED, _TORQUE = _MOTORS, 2 * _MOTORS
 
 
 @dataclass(frozen=True)
@@ -51,55 +49,6 @@ class ShaftEmulation:
         """Velocity commands (n,), rad/s, rounded to the drive's units."""
         unit = self.resolution_rad_s
         return commands_rad_s if unit is None else np.asarray(np.round(commands_rad_s / unit) * unit)
-
-
-@entry_point(
-    MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, VECTOR, COUNT, REAL, MATRIX, VECTOR, MATRIX, *[REAL] * 3, CUBE
-)
-def _simulate_rows(
-    p: Vector,
-    emulated: Vector,
-    believed: Vector,
-    s: Vector,
-    u: Vector,
-    w: Vector,
-    commands: Vector,
-    samples: int,
-    cycle_s: float,
-    step: Vector,
-    gain: Vector,
-    ahead: Vector,
-    lead_s: float,
-    steepest: float,
-    most: float,
-    out: Vector,
-) -> None:
-    motion = np.empty(ORDER)
-    observed = np.empty(4 * _MOTORS)
-    for b in range(p.shape[0]):
-        state = s[b]
-        motion[:] = 0.0
-        motion[0], motion[1] = state[lay.S_X], state[lay.S_V]
-        torque = state[lay.S_MOTORS + line.SM_SIZE + line.SM_TORQUE_NM]
-        kernel.enter(p[b], state, u, w)
-        for row in range(commands.shape[0]):
-            kernel.report(p[b], state, u, w, observed, 0)
-            fed, time_s = 0.0, row * cycle_s
-            if laws.has_feed_forward(emulated[b], lay.MOTOR):
-                a = kernel.acceleration_m_s2(p[b], state, u, w, time_s, 0)
-                inertia, direction = laws.mass_kg(emulated[b], lay.AXIS, time_s), state[lay.S_DIRECTION]
-                fed = laws.fed_forward_N(emulated[b], lay.AXIS, lay.MOTOR, inertia, observed[_SPEED], a, direction)
-            out[b, row, 0], out[b, row, 1], out[b, row, 2] = observed[0], observed[_SPEED], observed[_TORQUE] - fed
-            if row > 0:
-                follow(motion, step, gain, observed[0])
-            acceleration = min(max(later(motion, ahead, 2), -most), most)
-            speed = observed[_SPEED] + lead_s * (acceleration - 0.5 * lead_s * later(motion, ahead, 3))
-            u[lay.U_SETPOINT], u[lay.U_LOAD_SETPOINT] = commands[row], torque
-            # The torque for the measurement at this SYNC is sent with the next.
-            torque = load_torque_Nm(
-                emulated[b], believed, time_s, later(motion, ahead, 0), speed, acceleration, steepest
-            )
-            kernel.go_on(p[b], state, u, w, samples)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,22 +80,26 @@ def simulate_emulated(
     states = np.array([lay.new_state(stand, *start) for stand in rigs])
     layout = Layout.of(believed)
     inputs = layout.new_inputs()
-    layout.motor_inputs(inputs)[:, line.UM_MODE] = MotorMode.VELOCITY, MotorMode.TORQUE
+    layout.motor_inputs(inputs).mode = MotorMode.VELOCITY, MotorMode.TORQUE
     samples = samples_per(bench.cycle_s, believed.item(lay.P_SAMPLE_TIME_S))
     lead_s = emulation_delay_s(sampled_shaft(bench.stand, bench.cycle_s))
-    rows = np.ascontiguousarray(commands_rad_s, dtype=np.float64)
-    out = np.empty((len(many), len(rows), 3))
-    step, gain = transition(bench.cycle_s), gains(bench.cycle_s, FILTER_CYCLES * bench.cycle_s)
-    steepest, most = steepest_Nm_s_per_rad(believed, lead_s), most_rad_s2(bench.stand)
+    rows = np.ascontiguousarray(commands_rad_s, dtype=np.float64)[:, None]
+    out, free = np.empty((len(many), len(rows), layout.output_size)), np.zeros((len(rows), 2))
+    forward, gain = transition(bench.cycle_s), gains(bench.cycle_s, FILTER_CYCLES * bench.cycle_s)
+    law = lead_s, steepest_Nm_s_per_rad(believed, lead_s), most_rad_s2(bench.stand), bench.cycle_s, 0.0, 0.0
 
     def run(share: slice) -> None:
-        _simulate_rows(
-            rigs[share], emulated[share], believed, states[share], inputs.copy(), layout.new_work(), rows, samples,
-            bench.cycle_s, step, gain, transition(lead_s), lead_s, steepest, most, out[share],
+        load = ShaftLoad(
+            emulated[share], np.zeros(layout.input_size), np.zeros(1), believed, np.zeros(ORDER), np.array(law),
+            transition(lead_s), forward, gain,
+        )  # fmt: skip
+        simulation.simulate(
+            rigs[share], states[share], inputs.copy(), layout.new_work(), rows, free, samples,
+            out[share].reshape(-1), out.shape[2], simulation.NOTHING, table_of(load),
         )  # fmt: skip
 
     on_all_cores(run, len(many))
-    return EmulatedRun(out[..., 0], out[..., 1], out[..., 2])
+    return EmulatedRun(*(out[..., layout.columns[name].start] for name in ("x_m", "v_m_s", "tau_Nm")))
 
 
 def _rigs(believed: Vector, many: Vector) -> Vector:

@@ -1,44 +1,37 @@
-"""Emulation of a shaft by a load motor, from the measured position of the real one.
-
-    τ_load = −(J_i − J_r)·a − R_i(v) + R_r(v) + U_i(φ) − U_r(φ)
-
-makes a shaft of inertia J_r, friction R_r and unbalance U_r behave like one of J_i, R_i and U_i. The torque acts later
-than the motion was measured, so position, speed and acceleration are predicted over that lead. The stability limit of
-emulated inertia is in `hilbench.plant.servo_axis.stability`.
+"""Emulation of a shaft by a load motor, from the measured position of the real one; the law is in
+`hilbench.plant.web_line.shaft_load`. The stability limit of emulated inertia is in
+`hilbench.plant.servo_axis.stability`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import inf
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import (
-    COUNT,
-    MATRIX,
-    REAL,
-    TABLE,
-    compiled,
-    entry_point,
-    floats,
-    inlined,
-    integers,
-    table_of,
-)
+from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, entry_point, record_at, table_of
 from hilbench.plant.in_step import CompiledInStep
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
-from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion, ahead_s, elapsed_s
+from hilbench.plant.measured_motion import (
+    HasFollowed,
+    MeasuredMotion,
+    MotionVectors,
+    ahead_s,
+    elapsed_s,
+    publish,
+    take,
+)
 from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import IDS, emulated_effect_problem
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.shaft import Shaft
-from hilbench.plant.servo_axis.tracking_filter import TrackingFilter, gains, later, transition
-from hilbench.plant.servo_axis.tracking_filter import follow as follow_position
-from hilbench.plant.web_line import laws
+from hilbench.plant.servo_axis.tracking_filter import ORDER, TrackingFilter, gains, transition
 from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.shaft_load import LAW, ShaftLoad, follow, put_torque
 
 #: Time constant of the acceleration filter, in bus cycles: longer ones allow more inertia, and emulate it worse.
 FILTER_CYCLES = 2.5
@@ -47,77 +40,50 @@ FILTER_CYCLES = 2.5
 _SLOPE_SHARE = 0.25
 _LEAST_LEAD_S = 1e-3
 
-Table = NDArray[np.int64]
-Matrix = NDArray[np.float64]
 
-# Rows of the table: parameters of the emulated shaft and of the real one, inputs of the first, its filtered motion, and
-# its own figures; of a shaft on measured motion then those of that, `transition` and `gains` of a cycle, `transition`
-# over the lead, torques of the load motors (M,), and the process image's values and offsets.
-_EMULATED, _REAL, _INPUTS, _FILTERED, _OWN = range(5)
-_MOTION, _TRAVELS, _POSITIONS, _SPEEDS, _FORWARD, _GAINS, _FORWARD_AHEAD, _TORQUES, _VALUES, _AT = range(5, 15)
-#: Own figures: its time, the largest possible acceleration; a cycle, and the usual lead of the torques; the elapsed
-#: time where it was another.
-_TIME_S, _MOST_RAD_S2, _CYCLE_S, _LEAD_S, _ELAPSED_S, _OWN_SIZE = range(6)
-#: Results of `follow`: nothing to follow; followed; only counted, as elapsed time or lead are not those of a normal
+class ShaftCycle(NamedTuple):
+    """Emulated shaft on measured motion: time that has elapsed (1,) in s, where it was no cycle; torques of the load
+    motors (M,), the process image's values and the offsets in it."""
+
+    load: ShaftLoad
+    motion: MotionVectors
+    speeds: Reals
+    elapsed_s: Reals
+    torques: Reals
+    values: Reals
+    at: Wholes
+
+
+#: What `_follow` does: a cycle with a sample that is on time, or late; the load torque only.
+_ON_TIME, _LATE, _PULL = 0, 1, 2
+#: Results of `_follow`: nothing to follow; followed; only counted, as elapsed time or lead are not those of a normal
 #: cycle.
-NOTHING, FOLLOWED, ANOTHER_TIME = range(3)
+NOTHING, FOLLOWED, ANOTHER_TIME = 0, 1, 2
 
 
-@inlined
-def load_torque_Nm(
-    emulated: Vector, real: Vector, time_s: float, x: float, v: float, a: float, steepest: float
-) -> float:
-    """Load torque that makes the real shaft, at x, v, a at a time, behave as the emulated one.
-
-    steepest: N·m·s/rad, slope of the dry friction at standstill.
-    """
-    inertia = laws.mass_kg(emulated, lay.AXIS, time_s) - laws.mass_kg(real, lay.AXIS, time_s)
-    smooth = laws.smooth_resistance_N(emulated, lay.AXIS, v) - laws.smooth_resistance_N(real, lay.AXIS, v)
-    smooth += laws.drag_N(emulated, lay.AXIS, v) - laws.drag_N(real, lay.AXIS, v)
-    dry = laws.dry_friction_N(emulated, lay.AXIS, v) - laws.dry_friction_N(real, lay.AXIS, v)
-    limited = min(max(steepest * v, -abs(dry)), abs(dry)) * (1.0 if dry > 0.0 else -1.0)
-    unbalance = laws.unbalance_N(emulated, lay.AXIS, x) - laws.unbalance_N(real, lay.AXIS, x)
-    return unbalance - inertia * a - smooth - limited
-
-
-@compiled
-def _torque_ahead_Nm(table: Table, forward: Matrix, lead_s: float, speed_rad_s: float) -> float:
-    """Compiled `EmulatedShaft.load_torques_Nm`; `forward` (4, 4): the `transition` over the lead."""
-    emulated, real, inputs = floats(table, _EMULATED, (1,)), floats(table, _REAL, (1,)), floats(table, _INPUTS, (1,))
-    motion, own = floats(table, _FILTERED, (1,)), floats(table, _OWN, (1,))
-    position, a, jerk = later(motion, forward, 0), later(motion, forward, 2), later(motion, forward, 3)
-    # Largest possible acceleration: more is a sample of another instant than assumed.
-    a = min(max(a, -own[_MOST_RAD_S2]), own[_MOST_RAD_S2])
-    v = speed_rad_s + lead_s * (a - 0.5 * lead_s * jerk)
-    steepest = _SLOPE_SHARE * real[lay.P_INERTIA] / max(lead_s, _LEAST_LEAD_S)
-    return float(load_torque_Nm(emulated, real, own[_TIME_S], position, v, a, steepest) + inputs[lay.U_TORQUE_NM])
-
-
-@entry_point(TABLE, MATRIX, REAL, REAL)
-def _torque_Nm(table: Table, forward: Matrix, lead_s: float, speed_rad_s: float) -> float:
-    return _torque_ahead_Nm(table, forward, lead_s, speed_rad_s)
-
-
-@entry_point(COUNT, TABLE)
-def _follow(late: int, table: Table) -> int:
+@entry_point(COUNT, TABLE, allocates=False)
+def _follow(what: int, table: NDArray[np.int64]) -> int:
     if len(table) == 0:
         return NOTHING
-    counted, travels, x = floats(table, _MOTION, (1,)), floats(table, _TRAVELS, (1,)), floats(table, _POSITIONS, (1,))
-    speeds, values, at = floats(table, _SPEEDS, (1,)), floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
-    own, torques = floats(table, _OWN, (1,)), floats(table, _TORQUES, (1,))
-    x[0], speeds[0] = values[at[0]], values[at[1]]
-    duration_s = elapsed_s(counted, travels, x, speeds, late != 0)
+    if what == _PULL:
+        load = arrays_in(table, ShaftLoad)
+        put_torque(load, 0, load.law.speed_rad_s)
+        return FOLLOWED
+    cycle = arrays_in(table, ShaftCycle)
+    load, motion, speeds, torques = cycle.load, cycle.motion, cycle.speeds, cycle.torques
+    take(cycle.values, cycle.at, motion.positions, speeds)
+    duration_s = elapsed_s(motion.state, motion.travels, motion.positions, speeds, what == _LATE)
     if not duration_s > 0.0:
         return NOTHING
-    lead_s = ahead_s(counted)
-    if duration_s != own[_CYCLE_S] or lead_s != own[_LEAD_S]:
-        own[_ELAPSED_S] = duration_s
+    if duration_s != load.law.cycle_s or ahead_s(motion.state) != load.law.lead_s:
+        cycle.elapsed_s[0] = duration_s
         return ANOTHER_TIME
-    follow_position(floats(table, _FILTERED, (1,)), floats(table, _FORWARD, (1, 2)), floats(table, _GAINS, (1,)), x[0])
-    own[_TIME_S] += duration_s
-    torque_Nm = _torque_ahead_Nm(table, floats(table, _FORWARD_AHEAD, (1, 2)), lead_s, speeds[0])
+    follow(load.motion, load.forward, load.gain, motion.positions[0])
+    load.time_s[0] += duration_s
+    put_torque(load, 0, speeds[0])
     for k in range(len(torques)):
-        values[at[2 + k]] = torques[k] = torque_Nm
+        torques[k] = load.law.torque_Nm
+    publish(cycle.values, cycle.at[2:], torques, torques)
     return FOLLOWED
 
 
@@ -153,13 +119,12 @@ class EmulatedShaft:
         self._machine = Shaft(emulated.model_copy(update={"effects": of_shaft}), None, (), 1)
         self._real = lay.pack(known, real.load_motor)
         self._filter = TrackingFilter(filter_cycles * cycle_s)
-        self._cycle_s = cycle_s
-        self._own = np.zeros(_OWN_SIZE)
-        self._own[_MOST_RAD_S2] = most_rad_s2(real)
-        #: Vectors of the first rows of the table.
-        machine = self._machine.vectors
-        self._kept = machine.p, self._real, machine.u, self._filter.motion, self._own
-        self._table = table_of(self._kept)
+        machine, law, size = self._machine.vectors, np.zeros(LAW.itemsize // 8), (ORDER, ORDER)
+        record_at(law, LAW).most_rad_s2, record_at(law, LAW).cycle_s = most_rad_s2(real), cycle_s
+        motion, forward, gain = self._filter.motion, transition(cycle_s), gains(cycle_s, self._filter.filter_s)
+        shaft = machine.p[np.newaxis]
+        self.load = ShaftLoad(shaft, machine.u, np.zeros(1), self._real, motion, law, np.zeros(size), forward, gain)
+        self._table = table_of(self.load)
         self._stale = True  # something was changed since the last step
 
     def describe(self) -> PlantDescription:
@@ -186,7 +151,7 @@ class EmulatedShaft:
     @property
     def time_s(self) -> float:
         """Time since the start."""
-        return self._own.item(_TIME_S)
+        return self.load.time_s.item(0)
 
     def reset(self, positions: Sequence[float]) -> None:
         """Reset to rest at `positions` (1,)."""
@@ -195,7 +160,7 @@ class EmulatedShaft:
     def follow(self, positions: Sequence[float], duration_s: float) -> None:
         """Follow the shaft to `positions` (1,), `duration_s` (above 0) after the last call."""
         self._filter.update(positions[0], duration_s)
-        self._own[_TIME_S] += duration_s
+        self.load.time_s[0] += duration_s
         self._stale = False
 
     def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
@@ -205,7 +170,17 @@ class EmulatedShaft:
         """
         if any(axis != 1 for axis in axes):
             raise ValueError(f"load motors on axes {list(axes)}, expected axis 1: a servo axis has one shaft")
-        return [_torque_Nm(self._table, transition(lead_s), float(lead_s), float(speeds[0]))] * len(axes)
+        law = self.lead(self.load, lead_s)
+        law.speed_rad_s = speeds[0]
+        _follow(_PULL, self._table)
+        return [float(law.torque_Nm)] * len(axes)
+
+    def lead(self, load: ShaftLoad, lead_s: float) -> Any:
+        """Law of a load whose torque acts `lead_s` after the motion was measured."""
+        law = record_at(load.law, LAW)
+        law.lead_s, law.steepest = lead_s, steepest_Nm_s_per_rad(self._real, lead_s)
+        load.ahead[:] = transition(lead_s)
+        return law
 
     def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> ShaftInStep:
         """Compiled follower with load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
@@ -232,7 +207,7 @@ class EmulatedShaft:
     def _restore(self, memory: object) -> None:
         match memory:
             case (np.ndarray() as motion, float() as time_s):
-                self._filter.motion[:], self._own[_TIME_S] = motion, time_s
+                self._filter.motion[:], self.load.time_s[0] = motion, time_s
             case _:
                 raise ValueError("a state of another machine, expected one of an equal emulated shaft")
 
@@ -278,11 +253,11 @@ class ShaftInStep(CompiledInStep):
 
     def __init__(self, shaft: EmulatedShaft, motion: MeasuredMotion, motors: int) -> None:
         self._shaft, self._motion, torques_Nm = shaft, motion, np.zeros(motors)
-        shaft._own[_CYCLE_S], shaft._own[_LEAD_S] = shaft._cycle_s, motion.ahead_s
-        forward, gain = transition(shaft._cycle_s), gains(shaft._cycle_s, shaft._filter.filter_s)
-        of_motion = motion.state, motion.travels, motion.positions, motion.speeds
-        kept = *shaft._kept, *of_motion, forward, gain, transition(motion.ahead_s), torques_Nm
-        super().__init__(_follow, FOLLOWED, torques_Nm, kept)
+        load = shaft.load._replace(law=shaft.load.law.copy(), ahead=shaft.load.ahead.copy())
+        shaft.lead(load, motion.ahead_s)
+        nothing = np.zeros(0), np.zeros(0, np.int64)
+        cycle = ShaftCycle(load, motion.vectors, motion.speeds, np.zeros(1), torques_Nm, *nothing)
+        super().__init__(_follow, FOLLOWED, torques_Nm, cycle)
 
     @property
     def usable(self) -> bool:
@@ -299,13 +274,12 @@ class ShaftInStep(CompiledInStep):
         if code == NOTHING:
             return HasFollowed.NOT
         if code == ANOTHER_TIME:
-            self._follow_for(self._shaft._own.item(_ELAPSED_S))
+            self._follow_for(self._arrays.elapsed_s.item(0))
         self._shaft._stale = False
         return HasFollowed.ALL
 
     def _follow_for(self, duration_s: float) -> None:
-        assert self._on is not None, "followed before"
-        (values, places), shaft, motion = self._on, self._shaft, self._motion
-        shaft.follow(motion.positions.tolist(), duration_s)
+        shaft, motion = self._shaft, self._motion
+        shaft.follow(motion.vectors.positions.tolist(), duration_s)
         self._torques[:] = shaft.load_torques_Nm([1] * len(self._torques), motion.speeds.tolist(), motion.ahead_s)
-        values[places[2:]] = self._torques
+        self._arrays.values[self._arrays.at[2:]] = self._torques

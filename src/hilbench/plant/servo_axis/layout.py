@@ -19,33 +19,32 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line import layout as line
 from hilbench.plant.web_line.layout import Layout, Vector
 
-#: Rows of the axis, its motor and its load motor.
+#: Offsets of the rows of the axis and its motor.
 AXIS: Final = line.W_SIZE
 MOTOR: Final = AXIS + line.A_SIZE
-LOAD_MOTOR: Final = MOTOR + line.M_SIZE
 
 # Parameters.
 P_SAMPLE_TIME_S: Final = line.W_SAMPLE_TIME_S
-P_INERTIA: Final = AXIS + line.A_ROLLER_MASS_KG  #: kg·m², of all that turns
-P_COULOMB: Final = AXIS + line.A_COULOMB_N  #: N·m
-P_VISCOUS: Final = AXIS + line.A_VISCOUS  #: N·m·s/rad
-P_UNBALANCE: Final = AXIS + line.A_UNBALANCE_NM
-P_UNBALANCE_PHASE: Final = AXIS + line.A_UNBALANCE_PHASE
+P_INERTIA: Final = AXIS + line.column(line.AXIS, "roller_mass_kg")  #: kg·m², of all that turns
+P_COULOMB: Final = AXIS + line.column(line.AXIS, "coulomb_N")  #: N·m
+P_VISCOUS: Final = AXIS + line.column(line.AXIS, "viscous_N_s_per_m")  #: N·m·s/rad
+P_UNBALANCE: Final = AXIS + line.column(line.AXIS, "unbalance_Nm")
 #: All columns of effects.
-P_EFFECTS: Final = np.r_[AXIS + line.A_FIXED : MOTOR, MOTOR + line.M_FIXED : LOAD_MOTOR]
+P_EFFECTS: Final = np.r_[
+    AXIS + line.column(line.AXIS, "m_per_turned_rad") + 1 : MOTOR,
+    MOTOR + line.column(line.MOTOR, "axis") + 1 : MOTOR + line.M_SIZE,
+]
 
 # State.
 S_X: Final = line.S_Y  #: of the motor, rad
 S_V: Final = S_X + 1
 S_X_BEHIND: Final = S_X + 2  #: of the load behind a twisting shaft, else of the motor
 S_V_BEHIND: Final = S_X + 3
-S_DIRECTION: Final = S_X + 4 + line.SA_DIRECTION
-S_MOTORS: Final = S_X + 4 + line.SA_SIZE
+S_DIRECTION: Final = S_X + 4
 
 # Inputs.
-U_TORQUE_NM: Final = line.U_F_NEXT_N  #: external, forward
+U_TORQUE_NM: Final = 1  #: external, forward: `F_next_N`
 U_SETPOINT: Final = line.U_MOTORS + line.UM_SETPOINT
-U_LOAD_SETPOINT: Final = U_SETPOINT + line.UM_SIZE
 
 #: Public parameters, and their columns in the kernel's parameters.
 PARAMETERS: Final[Mapping[str, tuple[Quantity, int]]] = {
@@ -55,7 +54,7 @@ PARAMETERS: Final[Mapping[str, tuple[Quantity, int]]] = {
         (Quantity("coulomb_friction_Nm", "N·m", "dry friction"), P_COULOMB),
         (Quantity("viscous_friction_Nm_s_per_rad", "N·m·s/rad", "friction per speed"), P_VISCOUS),
         (Quantity("unbalance_Nm", "N·m", "amplitude of the torque of what is unbalanced"), P_UNBALANCE),
-        (Quantity("unbalance_phase_rad", "rad", "its phase at position zero"), P_UNBALANCE_PHASE),
+        (Quantity("unbalance_phase_rad", "rad", "its phase at position zero"), P_UNBALANCE + 1),
     )
 }
 
@@ -63,7 +62,7 @@ PARAMETERS: Final[Mapping[str, tuple[Quantity, int]]] = {
 @cache
 def place(effect_id: str, parameter: int = 0, slot: int = 0) -> int:
     """Column of an effect's parameter (by its number in the row, from 0). Raises KeyError."""
-    row = AXIS if line.row_of(find(effect_id)) == "axis" else MOTOR
+    row = AXIS if find(effect_id).id in (line.AXIS.names or ()) else MOTOR
     return row + line.place(effect_id, parameter, slot)
 
 
@@ -81,17 +80,14 @@ def pack(model: ServoAxisParameters, load_motor: LoadMotorParameters | None = No
     """
     drives, shaft = model.drives, model.shaft
     layout = Layout(1, 1 if load_motor is None else 2, 0)
-    parameters = np.zeros(layout.parameter_size)
-    parameters[[line.W_AXES, line.W_MOTORS, line.W_SUBSTEPS]] = layout.axes, layout.motors, substeps
-    parameters[line.W_SAMPLE_TIME_S] = drives.sample_time_s if drives else 0.001
-    line.clear_effects(parameters, KIND)
+    parameters = line.new_parameters(layout, drives.sample_time_s if drives else 0.001, substeps, KIND)
     row, motors = layout.axis_rows(parameters)[0], layout.motor_rows(parameters)
-    row[[line.A_AXIS, line.A_RADIUS_M, line.A_WEB_LOAD]] = 1.0
-    row[line.A_M_PER_TURNED_RAD] = shaft.gear_ratio
-    row[line.A_ROLLER_MASS_KG] = model.inertia_kg_m2 + (load_motor.inertia_kg_m2 if load_motor else 0.0)
-    row[line.A_COULOMB_N], row[line.A_VISCOUS] = shaft.coulomb_friction_Nm, shaft.viscous_friction_Nm_s_per_rad
-    row[line.A_UNBALANCE_NM], row[line.A_UNBALANCE_PHASE] = shaft.unbalance_Nm, shaft.unbalance_phase_rad
-    motors[0, line.M_RAD_PER_M] = 1.0
+    row.number = row.radius_m = row.web_load = 1.0
+    row.m_per_turned_rad = shaft.gear_ratio
+    row.roller_mass_kg = model.inertia_kg_m2 + (load_motor.inertia_kg_m2 if load_motor else 0.0)
+    row.coulomb_N, row.viscous_N_s_per_m = shaft.coulomb_friction_Nm, shaft.viscous_friction_Nm_s_per_rad
+    row.unbalance_Nm, row.unbalance_phase_rad = shaft.unbalance_Nm, shaft.unbalance_phase_rad
+    motors[0].rad_per_m = 1.0
     line.write_drive(motors[0], drives, 1)
     if load_motor is not None:
         line.write_load_motor(motors[1], load_motor, 1, 1.0)

@@ -16,7 +16,7 @@ from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import IDS, KIND
 from hilbench.plant.servo_axis.layout import PARAMETERS
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
-from hilbench.plant.web_line import laws
+from hilbench.plant.web_line import laws, records
 from hilbench.plant.web_line.layout import Vector, refresh_modes
 from hilbench.plant.web_line.simulated import SimulatedLine
 
@@ -27,8 +27,10 @@ _TORQUE = Quantity("external_torque_Nm", "N·m", "torque on the shaft from outsi
 #: N·m.
 @entry_point(VECTOR, REAL)
 def look(p: Vector, time_s: float) -> tuple[float, float, float]:
-    factor = laws.inertia_factor_at(p, lay.AXIS, time_s)
-    return factor, laws.breakaway_N(p, lay.AXIS), laws.reported_offset_Nm(p, lay.MOTOR)
+    line = records.of_parameters(p)
+    axis = records.axis(line, 0)
+    factor = laws.inertia_factor_at(axis, time_s, p[lay.P_SAMPLE_TIME_S])
+    return factor, laws.breakaway_N(axis), records.motor(line, 0).torque_offset.offset_Nm
 
 
 def checked_parameter(name: str, value: float) -> float:

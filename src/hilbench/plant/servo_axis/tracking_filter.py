@@ -12,36 +12,13 @@ from math import exp, factorial
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, compiled, entry_point
 from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.shaft_load import follow
 
 Matrix = NDArray[np.float64]
 
 #: Position, speed, acceleration, jerk.
 ORDER = 4
-
-
-@compiled
-def later(motion: Vector, forward: Matrix, place: int) -> float:
-    """Component `place` of the motion after the time of the `transition` `forward` (4, 4)."""
-    # Two parallel sums, as in a vector unit.
-    even = forward[place, 0] * motion[0] + forward[place, 2] * motion[2]
-    return float(even + (forward[place, 1] * motion[1] + forward[place, 3] * motion[3]))
-
-
-@compiled
-def follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
-    """Compiled `TrackingFilter.update`; `forward` (4, 4), `gain` (4,): `transition` and `gains` of the elapsed time."""
-    x, v = later(motion, forward, 0), later(motion, forward, 1)
-    a, j = later(motion, forward, 2), later(motion, forward, 3)
-    off_rad = position_rad - x
-    motion[0], motion[1] = x + gain[0] * off_rad, v + gain[1] * off_rad
-    motion[2], motion[3] = a + gain[2] * off_rad, j + gain[3] * off_rad
-
-
-@entry_point(VECTOR, MATRIX, VECTOR, REAL)
-def _follow(motion: Vector, forward: Matrix, gain: Vector, position_rad: float) -> None:
-    follow(motion, forward, gain, position_rad)
 
 
 @lru_cache(64)
@@ -83,4 +60,4 @@ class TrackingFilter:
 
     def update(self, position_rad: float, duration_s: float) -> None:
         """Update by a position, `duration_s` after the previous one."""
-        _follow(self.motion, transition(duration_s), gains(duration_s, self.filter_s), position_rad)
+        follow(self.motion, transition(duration_s), gains(duration_s, self.filter_s), position_rad)

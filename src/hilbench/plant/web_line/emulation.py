@@ -1,11 +1,5 @@
-"""Emulation of a web line by load motors, whole recordings in one compiled call: the rig's mechanics under the load
-model.
-
-In each cycle, as on the bench (`hilbench.bench.tasks.load_model`): the line (`line_follower`) is followed on the
-positions of its driven rollers at SYNC, its tension is predicted over the dead time of the emulation, and the load
-motor gets the torque with the next SYNC. Between them the axes turn under their drives and the load motor, without a
-web. Noise and resolution are left out.
-"""
+"""Emulation of a web line by load motors, whole recordings in one compiled call (`simulation`): the rig's mechanics
+under the load model."""
 
 from __future__ import annotations
 
@@ -17,20 +11,18 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
+from hilbench.compiled import record_at, table_of
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.sampling import on_all_cores, samples_per
-from hilbench.plant.web_line import kernel, line_follower, line_kernel, places, reels
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import line_follower, line_kernel, simulation
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.offline import Simulation, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, pack_rig
 from hilbench.plant.web_line.stability import sampled_shaft
 from hilbench.plant.web_line.stations import station_name
-
-Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -66,102 +58,6 @@ def lead_s(model: ModelParameters, cycle_s: float) -> float:
     Raises ValueError for a model without drives.
     """
     return emulation_delay_s(sampled_shaft(model, cycle_s=cycle_s))
-
-
-@inlined
-def _show(p: Vector, s: Vector, sensors: Rows, out: Vector, at: int) -> None:
-    """Write the readings of `sensors` (rows of the line) to `out` from offset `at` on, m."""
-    for j in range(len(sensors)):
-        axis, x = places.axis(sensors[j]), s[lay.S_Y + sensors[j]]
-        out[at + j] = p[axis + lay.A_RADIUS_M] * reels.radius_ratio(p, axis, x) if reels.is_reel(p, axis) else x
-
-
-@compiled
-def _run(
-    p: Vector, s: Vector, u: Vector, w: Vector, web: Vector, line: Vector, line_u: Vector, line_w: Vector, rows: Rows,
-    sensors: Rows, pulls: Vector, guess: Vector, memory: Vector, further: Vector, loads: Vector, seen: Vector,
-    commands: Vector, boundary: Vector, samples: int, cycle_s: float, lead_s: float, pushed: Rows, forces: Vector,
-    more: Vector, out: Vector, at: int,
-) -> None:  # fmt: skip
-    """Row by row observe the rig, follow the line on it, and advance.
-
-    The rig of N axes and M motors: `p`, `s`, `u`, `w`; the line of K spans on it: parameters `web`, state `line`,
-    `line_u`, `line_w`, its driven rollers at `rows` (N,), their `memory` as of `line_kernel`; zero offsets `further`
-    (N,). Room for a `guess` of its state, for `loads` (N,) and for its outputs `seen`; `pulls` (N,): N·m at the motor
-    per N. `commands` (n, N) rad/s at the motors, `boundary` (n, 2) upstream strain and downstream tension (N), a row of
-    `samples` drive samples each. Carriages `pushed`, rows of the line, get `forces` (n, C), each of which acts to the
-    next row; `more` (C,): forces added by effects. Rows of 4·M + 2·K columns and the `sensors` go into `out` from
-    offset `at` on.
-    """
-    n, m, k = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(web[lay.W_SPANS])
-    count, first = len(rows), lay.U_MOTORS + lay.UM_SETPOINT
-    columns, step_s = 4 * m + 2 * k + len(sensors), memory[line_kernel.STEP_S]
-    sample_s = memory[line_kernel.SAMPLE_S]
-    a, v = memory[line_kernel.FIRST + count :], memory[line_kernel.FIRST + 2 * count :]
-    for i in range(len(memory) - line_kernel.FIRST):
-        memory[line_kernel.FIRST + i] = 0.0
-    memory[line_kernel.KNOWN] = memory[line_kernel.DURATION_S] = 0.0
-    for i in range(n):
-        loads[i] = 0.0
-    for j in range(n, m):  # of a line that runs
-        loads[int(p[places.motor(n, j) + lay.M_AXIS])] = s[places.motor_state(n, 0, j) + lay.SM_TORQUE_NM]
-    kernel.enter(p, s, u, w)
-    for row in range(commands.shape[0]):
-        place = at + row * columns
-        kernel.report(p, s, u, w, out, place)
-        before = max(row - 1, 0)
-        line_u[lay.U_STRAIN_PREV], line_u[lay.U_F_NEXT_N] = boundary[before, 0], boundary[before, 1]
-        if row > 0:
-            for j in range(len(pushed)):
-                web[places.axis(pushed[j]) + lay.A_FORCE_N] = forces[before, j] + more[j]
-            x = out[place : place + n]
-            line_kernel.follow_to(web, line, line_u, line_w, memory, rows, x, further, cycle_s)
-        # Steps of E are spread over the next cycle, so that what is found is continuous in their times.
-        web[lay.W_SUBSTEPS] = sample_s / cycle_s
-        line_kernel.observe(web, line, line_u, line_w, seen)
-        for j in range(2 * k):
-            out[place + 4 * m + j] = seen[3 * int(web[lay.W_MOTORS]) + j]
-        _show(web, line, sensors, out, place + 4 * m + 2 * k)
-        line_u[lay.U_STRAIN_PREV], line_u[lay.U_F_NEXT_N] = boundary[row, 0], boundary[row, 1]
-        for j in range(len(line)):
-            guess[j] = line[j]
-        guess[lay.S_COUNT] -= lead_s / sample_s  # only the motion is predicted: the tension has the present E
-        for i in range(n):
-            v[i] = line[lay.S_Y + int(web[lay.W_AXES]) + rows[i]]
-        line_kernel.turn(web, guess, line_u, line_w, rows, v, a, lead_s, sample_s, step_s)
-        line_kernel.observe(web, guess, line_u, line_w, seen)
-        for j in range(n):
-            u[first + j * lay.UM_SIZE] = commands[row, j]
-        for j in range(n, m):  # the torque for the measurement at the previous SYNC
-            u[first + j * lay.UM_SIZE] = loads[int(p[places.motor(n, j) + lay.M_AXIS])]
-        kernel.go_on(p, s, u, w, samples)
-        for i in range(n):
-            loads[i] = line_kernel.web_force_N(web, line, line_u, seen, rows[i]) * pulls[i]
-
-
-@entry_point(
-    MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, VECTOR, INDICES, INDICES, VECTOR, MATRIX, MATRIX, COUNT,
-    REAL, REAL, REAL, INDICES, MATRIX, VECTOR, CUBE,
-)  # fmt: skip
-def _simulate(
-    p: Vector, s: Vector, u: Vector, w: Vector, web: Vector, line: Vector, line_u: Vector, line_w: Vector,
-    rows: Rows, sensors: Rows, pulls: Vector, commands: Vector, boundary: Vector, samples: int, cycle_s: float,
-    lead_s: float, step_s: float, pushed: Rows, forces: Vector, bases: Vector, out: Vector,
-) -> None:  # fmt: skip
-    flat, size, count = out.reshape(-1), out.shape[1] * out.shape[2], len(rows)
-    guess, memory = np.zeros(line.shape[1]), np.zeros(line_kernel.FIRST + 3 * count)
-    memory[line_kernel.SAMPLE_S], memory[line_kernel.STEP_S] = web[0, lay.W_SAMPLE_TIME_S], step_s
-    further, loads = np.zeros(count), np.zeros(count)
-    seen = np.zeros(4 * int(web[0, lay.W_MOTORS]) + 2 * int(web[0, lay.W_SPANS]))
-    first, more = u.copy(), np.zeros(len(pushed))
-    for b in range(p.shape[0]):
-        u[:] = first
-        for j in range(len(pushed)):
-            more[j] = web[b, places.axis(pushed[j]) + lay.A_FORCE_N] - bases[j]
-        _run(
-            p[b], s[b], u, w, web[b], line[b], line_u, line_w, rows, sensors, pulls, guess, memory, further, loads,
-            seen, commands, boundary, samples, cycle_s, lead_s, pushed, forces, more, flat, b * size,
-        )  # fmt: skip
 
 
 def simulate_emulated(
@@ -206,17 +102,21 @@ def simulate_emulated(
     samples = samples_per(emulation.cycle_s, sample_s)
     out = np.empty((len(many), len(commands), layout.output_size + 2 * of_line.spans + len(sensor_rows)))
     at_motors, limits = np.ascontiguousarray(commands * per_m), np.ascontiguousarray(boundary, dtype=np.float64)
-    lead, longest_s = lead_s(model, emulation.cycle_s), line_follower.step_s(model)
-
+    history = np.array([0.0, 0.0, sample_s, line_follower.step_s(model)])
+    times = np.array([emulation.cycle_s, lead_s(model, emulation.cycle_s)])
     stations = {each.station.name: each.station for each in model.carriages}
     pushed, bases = np.array(_rows_of(model, [*forces_N]), np.int64), np.array([stations[k].force_N for k in forces_N])
     forces = np.column_stack([*forces_N.values()]) if forces_N else np.empty((len(commands), 0))
 
     def run(share: slice) -> None:
-        _simulate(
-            rigs[share], starts[share], _rig_inputs(layout, n), layout.new_work(), many[share], lines[share],
-            of_line.new_inputs(), of_line.new_work(), np.array(rows, np.int64), sensor_rows, pulls, at_motors, limits,
-            samples, emulation.cycle_s, lead, longest_s, pushed, forces, bases, out[share],
+        load = simulation.WebLoad(
+            many[share], lines[share], of_line.new_inputs(), of_line.new_work(), np.zeros(of_line.output_size),
+            history.copy(), np.zeros(n, line_kernel.ROLLER), np.array(rows, np.int64), sensor_rows, pulls, limits,
+            pushed, forces, bases, np.zeros(len(bases)), np.zeros(of_line.state_size), np.zeros(n), np.zeros(n), times,
+        )  # fmt: skip
+        simulation.simulate(
+            rigs[share], starts[share], _rig_inputs(layout, n), layout.new_work(), at_motors, limits, samples,
+            out[share].reshape(-1), out.shape[2], table_of(load), simulation.NOTHING,
         )  # fmt: skip
 
     on_all_cores(run, len(many))
@@ -233,8 +133,7 @@ def _rig_inputs(layout: Layout, axes: int) -> Vector:
     """Inputs of a rig: its `axes` in velocity mode, its load motors in torque mode."""
     inputs = layout.new_inputs()
     motors = layout.motor_inputs(inputs)
-    motors[:axes, lay.UM_MODE] = MotorMode.VELOCITY
-    motors[axes:, lay.UM_MODE] = MotorMode.TORQUE
+    motors[:axes].mode, motors[axes:].mode = MotorMode.VELOCITY, MotorMode.TORQUE
     return inputs
 
 
@@ -249,11 +148,12 @@ def rigs_of(emulation: Emulation, model: ModelParameters, many: Vector) -> Vecto
     template = pack_rig(RigParameters.matching(without_effects, load_motors))
     rigs = np.tile(template, (len(many), 1))
     layout, of_model, driven = Layout.of(template), Layout.of(many[0]), list(lay.driven_rows(many[0]))
+    effects = lay.column(lay.AXIS, "m_per_turned_rad") + 1  # and all columns behind it
     for stand, parameters in zip(rigs, many, strict=True):
-        layout.axis_rows(stand)[:, lay.A_FIXED :] = of_model.axis_rows(parameters)[driven, lay.A_FIXED :]
-        motors = layout.motor_rows(stand)[: layout.axes]
-        motors[:] = of_model.motor_rows(parameters)[driven]
-        motors[:, lay.M_AXIS] = np.arange(layout.axes)
+        of_stand, of_parameters = layout.matrices(stand), of_model.matrices(parameters)
+        of_stand["axis"][:, effects:] = of_parameters["axis"][driven, effects:]
+        of_stand["motor"][: layout.axes] = of_parameters["motor"][driven]
+        layout.motor_rows(stand).axis[: layout.axes] = np.arange(layout.axes)
     return rigs
 
 
@@ -272,12 +172,13 @@ def _starts(layout: Layout, rigs: Vector, many: Vector, lines: Vector, boundary:
         if np.any(y[axes : 2 * axes]):  # running: the load motors already have torque
             strain = y[4 * axes + k :] / y[4 * axes : 4 * axes + k] - 1.0
             of_spans = of_model.span_rows(parameters)
-            tension = strain * of_spans[:, lay.SP_MODULUS_PA] * of_spans[:, lay.SP_SECTION_M2]
-            around = np.array([boundary[0] * parameters[lay.W_UPSTREAM_STIFFNESS_N], *tension, boundary[1]])
+            tension = strain * of_spans.modulus_Pa * of_spans.section_m2
+            entering_N = boundary[0] * record_at(parameters, lay.WEB).upstream_stiffness_N
+            around = np.array([entering_N, *tension, boundary[1]])
             of_loads = layout.motor_rows(stand)[n:]
-            loaded = rows[of_loads[:, lay.M_AXIS].astype(int)]
-            pull = (around[loaded + 1] - around[loaded]) / of_loads[:, lay.M_RAD_PER_M]
-            motors[n:, [lay.SM_TORQUE_NM, lay.SM_COMMAND_NM, lay.SM_INTEGRAL_NM]] = pull[:, np.newaxis]
+            loaded = rows[of_loads.axis.astype(int)]
+            pull = (around[loaded + 1] - around[loaded]) / of_loads.rad_per_m
+            motors.torque_Nm[n:] = motors.command_Nm[n:] = motors.integral_Nm[n:] = pull
         lay.refresh_modes(stand, start)
     return starts
 

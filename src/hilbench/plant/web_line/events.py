@@ -7,9 +7,9 @@ smoothed, nothing chatters. Arguments as in `hilbench.plant.web_line.kernel`.
 from __future__ import annotations
 
 from hilbench.compiled import compiled, inlined, noinline
-from hilbench.plant.web_line import carriages, laws, motion, places
+from hilbench.plant.web_line import carriages, laws, motion, records
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.records import LineArrays
 
 #: Most events within one integration step; then the rest of it is integrated without event location.
 _MOST_EVENTS = 16
@@ -21,35 +21,21 @@ _POSITION_ROUNDING = 1e-15
 
 
 @inlined
-def any_sticks(p: Vector, s: Vector, n: int, k: int) -> bool:
-    """True if dry friction holds a roller or carriage, or a stop a carriage."""
-    sticks = False
-    for i in range(n):
-        sticks |= motion.sticks(p, s, n, k, i) or motion.is_at_stop(s, n, k, i)
-    return sticks
-
-
-@inlined
-def still_slides(p: Vector, s: Vector, w: Vector, n: int, k: int) -> bool:
+def still_slides(line: LineArrays) -> bool:
     """True if at the step's end all parts with dry friction move in their direction, and no carriage is at a stop."""
-    for i in range(n):
-        v, direction = w[places.block(n, k, lay.STAGE) + n + i], s[places.axis_state(n, k, i) + lay.SA_DIRECTION]
-        if _reversal(v, direction) > _EVENT_TOLERANCE and laws.is_dry(p, places.axis(i)):
+    end = records.block(line, lay.STAGE)
+    for i in range(line.n):
+        axis, v = records.axis(line, i), line.w[end + line.n + i]
+        reversal = -v * records.mode(line, i).direction * 1e3  # speed beyond standstill, mm/s
+        if reversal > _EVENT_TOLERANCE and laws.is_dry(axis):
             return False
-        x = w[places.block(n, k, lay.STAGE) + i]
-        if carriages.is_carriage(k, i) and carriages.beyond_m(p, places.axis(i), x) > 0.0:
+        if carriages.is_carriage(line, i) and carriages.beyond_m(axis, line.w[end + i]) > 0.0:
             return False
     return True
 
 
-@inlined
-def _reversal(v: float, direction: float) -> float:
-    """Speed beyond standstill in the opposite direction, mm/s."""
-    return -v * direction * 1e3
-
-
 @compiled
-def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y: int) -> tuple[float, float, float]:
+def _violations(line: LineArrays, t: float, i: int, y: int) -> tuple[float, float, float]:
     """Violation of axis i's mode by the quantities at `y` with their tensions and torques: gear, friction; and its
     force.
 
@@ -57,148 +43,98 @@ def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y:
     against its direction (mm/s), or a force too great for it to stick (N). In these units one tolerance does for all,
     as the search needs one number.
     """
-    n, m, k = places.counts(p)
-    axis, mode = places.axis(i), places.axis_state(n, k, i)
-    v, gear, friction = w[y + n + i], -1.0, -1.0
-    drive = motion.motor_force_N(p, w, n, m, k, i, w[y + motion.shaft_of_motor(p, n, i)], False)
-    web = motion.web_force_N(p, u, w, n, m, k, i, y, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), False)
-    apart, sticks = motion.is_apart(p, s, n, k, i), motion.sticks(p, s, n, k, i)
-    own = motion.own_force_N(p, w, n, m, k, i, y, False) + (0.0 if apart else drive)
+    w, n, axis, mode = line.w, line.n, records.axis(line, i), records.mode(line, i)
+    x, v, gear, friction = w[y + i], w[y + n + i], -1.0, -1.0
+    drive = motion.motor_force_N(line, i, w[y + motion.shaft_of_motor(line, i)], False)
+    web = motion.web_force_N(line, i, y, motion.strain_prev(line, t), False)
+    apart, sticks = motion.is_apart(line, i), motion.sticks(line, i)
+    own = motion.own_force_N(line, i, y, False) + (0.0 if apart else drive)
     if apart:
         # Positions grow: separating flanks must not count as passed because of the rounding of their distance.
-        rounding_m = _POSITION_ROUNDING * abs(w[y + i])
-        gear = (abs(w[y + 2 * n + i] - w[y + i]) - _half_gap_m(p, n, i) - rounding_m) * 1e6
-    elif laws.has_gap(p, axis):
-        per_mass = w[places.part(n, m, k, lay.PER_MASS) + i]
-        acceleration = 0.0 if sticks else motion.acceleration_m_s2(p, s, n, k, i, v, per_mass, own, web, drive, False)
-        motor_mass = p[axis + lay.A_MOTOR_MASS_KG] * laws.inertia_factor(p, axis)
-        gear = (motor_mass * acceleration - drive) * s[mode + lay.SA_CONTACT]
+        half_gap_m = 0.5 * axis.backlash.gap_rad / records.motor(line, i).rad_per_m
+        gear = (abs(w[y + 2 * n + i] - x) - half_gap_m - _POSITION_ROUNDING * abs(x)) * 1e6
+    elif axis.backlash.gap_rad > 0.0:
+        per_kg = records.part(line, i).per_kg
+        acceleration = 0.0 if sticks else motion.acceleration_m_s2(line, i, v, per_kg, own, web, drive, False)
+        motor_kg = axis.motor_mass_kg * (1.0 + axis.inertia_mismatch.relative_change)
+        gear = (motor_kg * acceleration - drive) * mode.contact
     net = own + web
-    if carriages.is_carriage(k, i):
-        gear = (carriages.beyond_m(p, axis, w[y + i]) - _POSITION_ROUNDING * abs(w[y + i])) * 1e6
-    if motion.is_at_stop(s, n, k, i):
-        gear = -s[mode + lay.SA_CONTACT] * net - laws.breakaway_N(p, axis)
-    elif laws.is_dry(p, axis):
-        breakaway = laws.breakaway_N(p, axis) + laws.load_friction_N(p, axis, 0.0 if apart else drive)
-        friction = abs(net) - breakaway if sticks else _reversal(v, s[mode + lay.SA_DIRECTION])
+    if carriages.is_carriage(line, i):
+        gear = (carriages.beyond_m(axis, x) - _POSITION_ROUNDING * abs(x)) * 1e6
+    if motion.is_at_stop(line, i):
+        gear = -mode.contact * net - laws.breakaway_N(axis)
+    elif laws.is_dry(axis):
+        breakaway = laws.breakaway_N(axis) + laws.load_friction_N(axis, 0.0 if apart else drive)
+        friction = abs(net) - breakaway if sticks else -v * mode.direction * 1e3
     return gear, friction, net
 
 
-@inlined
-def _half_gap_m(p: Vector, n: int, i: int) -> float:
-    """Half the gear play of an axis, at the web."""
-    return laws.half_gap_m(p, places.axis(i), p[places.motor(n, i) + lay.M_RAD_PER_M])
-
-
 @compiled
-def web_at(p: Vector, s: Vector, u: Vector, w: Vector, t: float, y: int) -> None:
+def web_at(line: LineArrays, t: float, y: int) -> None:
     """Tensions for the quantities at `y`."""
-    n, m, k = places.counts(p)
-    motion.web(p, s, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), y, False)
+    motion.web(line, t, motion.strain_prev(line, t), y, False)
 
 
 @compiled
-def _settle_one(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> bool:
+def _settle_one(line: LineArrays, t: float) -> bool:
     """Change the mode of the first axis that has left it, if there is one."""
-    n, _, k = places.counts(p)
-    web_at(p, s, u, w, t, 0)
+    web_at(line, t, 0)
+    w, n = line.w, line.n
     for i in range(n):
-        mode = places.axis_state(n, k, i)
-        gear, friction, net = _violations(p, s, u, w, t, i, 0)
-        if gear > _EVENT_TOLERANCE and carriages.is_carriage(k, i):
-            _meet_or_leave_stop(p, s, w, n, k, i)
-            return True
+        axis, mode = records.axis(line, i), records.mode(line, i)
+        gear, friction, net = _violations(line, t, i, 0)
         if gear > _EVENT_TOLERANCE:
-            if s[mode + lay.SA_CONTACT] != 0.0:
-                s[mode + lay.SA_CONTACT] = 0.0
-            else:
-                _touch(p, s, w, n, k, i, _half_gap_m(p, n, i))
+            if carriages.is_carriage(line, i):
+                _meet_or_leave_stop(line, i)
+            elif mode.contact != 0.0:
+                mode.contact = 0.0
+            else:  # plastic impact of the gear's flanks, momentum kept
+                motor_kg, roller_kg = axis.motor_mass_kg, axis.roller_mass_kg
+                v = (motor_kg * w[3 * n + i] + roller_kg * w[n + i]) / (motor_kg + roller_kg)
+                mode.contact = 1.0 if w[2 * n + i] > w[i] else -1.0
+                w[2 * n + i] = w[i] + mode.contact * 0.5 * axis.backlash.gap_rad / records.motor(line, i).rad_per_m
+                w[n + i] = w[3 * n + i] = v
+                if v != 0.0:
+                    mode.direction = 1.0 if v > 0.0 else -1.0
             return True
         if friction > _EVENT_TOLERANCE:
-            if s[mode + lay.SA_DIRECTION] == 0.0:
-                s[mode + lay.SA_DIRECTION] = 1.0 if net > 0.0 else -1.0
+            if mode.direction == 0.0:
+                mode.direction = 1.0 if net > 0.0 else -1.0
             else:
-                _stick(p, s, w, n, k, i)
+                mode.direction = w[n + i] = 0.0
+                if not (motion.is_apart(line, i) or axis.resonance.inertia_share != 0.0):
+                    w[3 * n + i] = 0.0
             return True
     return False
 
 
 @compiled
-def _stick(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int) -> None:
-    """Stop the roller: it sticks."""
-    s[places.axis_state(n, k, i) + lay.SA_DIRECTION] = 0.0
-    w[n + i] = 0.0
-    if not (motion.is_apart(p, s, n, k, i) or laws.twists(p, places.axis(i))):
-        w[3 * n + i] = 0.0
-
-
-@compiled
-def _meet_or_leave_stop(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int) -> None:
+def _meet_or_leave_stop(line: LineArrays, i: int) -> None:
     """Stop a carriage at its stop, without a rebound; or release it from there."""
-    mode = places.axis_state(n, k, i)
-    side = s[mode + lay.SA_CONTACT]
-    if side != 0.0:
-        s[mode + lay.SA_CONTACT] = 0.0
-        s[mode + lay.SA_DIRECTION] = -side
+    axis, mode, w, n = records.axis(line, i), records.mode(line, i), line.w, line.n
+    if mode.contact != 0.0:
+        mode.direction, mode.contact = -mode.contact, 0.0
         return
-    axis = places.axis(i)
-    side = carriages.side_of_stop(p, axis, w[i])
-    s[mode + lay.SA_CONTACT] = side
-    at = p[axis + lay.A_UPPER_STOP_M] if side > 0.0 else p[axis + lay.A_LOWER_STOP_M]
-    w[i] = at
-    w[2 * n + i] = at
-    w[n + i] = 0.0
-    w[3 * n + i] = 0.0
+    above = w[i] - axis.upper_stop_m > axis.lower_stop_m - w[i]
+    mode.contact = 1.0 if above else -1.0
+    w[i] = w[2 * n + i] = axis.upper_stop_m if above else axis.lower_stop_m
+    w[n + i] = w[3 * n + i] = 0.0
 
 
 @compiled
-def _touch(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int, half_m: float) -> None:
-    """Close the gear's flanks: plastic impact, momentum kept."""
-    axis, mode = places.axis(i), places.axis_state(n, k, i)
-    motor_mass, roller_mass = p[axis + lay.A_MOTOR_MASS_KG], p[axis + lay.A_ROLLER_MASS_KG]
-    v = (motor_mass * w[3 * n + i] + roller_mass * w[n + i]) / (motor_mass + roller_mass)
-    side = 1.0 if w[2 * n + i] > w[i] else -1.0
-    s[mode + lay.SA_CONTACT] = side
-    w[2 * n + i] = w[i] + side * half_m
-    w[n + i] = v
-    w[3 * n + i] = v
-    if v != 0.0:
-        s[mode + lay.SA_DIRECTION] = 1.0 if v > 0.0 else -1.0
-
-
-@compiled
-def _settle(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> None:
-    """Change modes until every axis fits its own (a roller that stops may stick at once, or slide back).
-
-    One at a time: a change of one axis's mode may change the forces on others.
-    """
-    n, m, k = places.counts(p)
-    for i in range(n):
-        direction = places.axis_state(n, k, i) + lay.SA_DIRECTION
-        if s[direction] == 0.0 and w[n + i] != 0.0:
-            s[direction] = 1.0 if w[n + i] > 0.0 else -1.0
-    motion.torques_now(s, w, n, m, k)
-    for _ in range(2 * _MOST_EVENTS):
-        if not _settle_one(p, s, u, w, t):
-            return
-
-
-@compiled
-def _try(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> float:
+def _try(line: LineArrays, t: float, h: float) -> float:
     """Integrate one step of length h; returns the greatest violation of any axis at its end."""
-    n, _, k = places.counts(p)
-    motion.integrate_any(p, s, u, w, t, h)
-    end = places.block(n, k, lay.STAGE)
-    web_at(p, s, u, w, t + h, end)
-    worst = -1.0
-    for i in range(n):
-        gear, friction, _ = _violations(p, s, u, w, t + h, i, end)
+    motion.integrate_any(line, t, h)
+    end, worst = records.block(line, lay.STAGE), -1.0
+    web_at(line, t + h, end)
+    for i in range(line.n):
+        gear, friction, _ = _violations(line, t + h, i, end)
         worst = max(worst, gear, friction)
     return worst
 
 
 @compiled
-def _until_event(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float, search: bool) -> float:
+def _until_event(line: LineArrays, t: float, h: float, search: bool) -> float:
     """Integrate a step of length h or, if there is an event in it and `search`, up to it; returns its length, s.
 
     The event's time is found by the Illinois form of regula falsi: the violation is nearly linear in the time within a
@@ -208,7 +144,7 @@ def _until_event(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float,
     low, high, within, beyond, last = 0.0, h, -_EVENT_TOLERANCE, 0.0, 0  # no violation at the start of the step
     cut, found = h, not search
     for iteration in range(_EVENT_ITERATIONS):
-        violation = _try(p, s, u, w, t, cut)
+        violation = _try(line, t, cut)
         if found or (iteration == 0 and violation <= _EVENT_TOLERANCE):
             break
         if violation > _EVENT_TOLERANCE:
@@ -225,17 +161,25 @@ def _until_event(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float,
 
 
 @compiled
-def step_with_events(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
+def step_with_events(line: LineArrays, t: float, h: float) -> None:
     """Integrate one step, cut at every event; after too many of them the rest without event location."""
     noinline()
-    n, m, k = places.counts(p)
     left = h
     for event in range(_MOST_EVENTS + 1):
         search = event < _MOST_EVENTS
         if search:
-            _settle(p, s, u, w, t)
-        done = _until_event(p, s, u, w, t, left, search)
-        motion.accept(s, w, n, m, k)
+            # Until every axis fits its mode (a roller that stops may stick at once, or slide back); one at a time, as a
+            # change of one axis's mode may change the forces on others.
+            for i in range(line.n):
+                mode, v = records.mode(line, i), line.w[line.n + i]
+                if mode.direction == 0.0 and v != 0.0:
+                    mode.direction = 1.0 if v > 0.0 else -1.0
+            motion.torques_now(line)
+            for _ in range(2 * _MOST_EVENTS):
+                if not _settle_one(line, t):
+                    break
+        done = _until_event(line, t, left, search)
+        motion.accept(line)
         t += done
         left -= done
         if left <= 1e-12 * h:

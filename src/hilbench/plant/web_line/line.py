@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
+from hilbench.compiled import record_at
 from hilbench.plant.effect import Domain
 from hilbench.plant.effects import effects_of, find_effect
 from hilbench.plant.interface import Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import per_item
 from hilbench.plant.sampling import samples_per
-from hilbench.plant.web_line import laws, motion, reels
+from hilbench.plant.web_line import laws, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import torque_ripples
@@ -66,8 +68,7 @@ class Line(SimulatedLine):
             _forces(parameters),
         )
         self._moduli = moduli_by_name(self._p)
-        self._inputs[lay.U_STRAIN_PREV] = parameters.upstream_strain
-        self._inputs[lay.U_F_NEXT_N] = parameters.boundary.downstream_tension_N
+        self.set_boundary(parameters.upstream_strain, parameters.boundary.downstream_tension_N)
         self._elastic = any(_acts_on_elasticity(entry.effect) for entry in parameters.effects)
         self._observe()
 
@@ -75,7 +76,8 @@ class Line(SimulatedLine):
     def moduli(self) -> Vector:
         """Parameter index of E of each span (K,)."""
         layout = self._layout
-        return layout.first_span + lay.SP_SIZE * np.arange(layout.spans, dtype=float) + lay.SP_MODULUS_PA
+        places = layout.first_span + lay.SP_SIZE * np.arange(layout.spans, dtype=float)
+        return np.asarray(places + lay.column(lay.SPAN, "modulus_Pa"))
 
     @property
     def further_places(self) -> list[int]:
@@ -84,7 +86,7 @@ class Line(SimulatedLine):
 
     def set_boundary(self, strain_prev: float, F_next_N: float) -> None:
         """Set the boundary inputs of these names from now on."""
-        self._inputs[lay.U_STRAIN_PREV], self._inputs[lay.U_F_NEXT_N] = strain_prev, F_next_N
+        self._inputs[0], self._inputs[1] = strain_prev, F_next_N
 
     def parameter(self, name: str) -> float:
         """Present value of a parameter. Raises ValueError for an unknown name."""
@@ -117,10 +119,7 @@ class Line(SimulatedLine):
         """Present factor on E of a span (from 1) by effects, including a splice in it; 1 without any."""
         if not self._elastic:
             return 1.0
-        sample_s, time_s, row = self._p[lay.W_SAMPLE_TIME_S], self.time_s, self._layout.first_span
-        row += (span - 1) * lay.SP_SIZE
-        factor = float(laws.elasticity_factor(self._p, row, time_s, laws.step_factor(self._p, row, time_s, sample_s)))
-        return factor * self.spliced_spans[span - 1].factor
+        return elasticity_factor(self._p, span, self.time_s) * self.spliced_spans[span - 1].factor
 
     @property
     def spliced_spans(self) -> list[SplicedSpan]:
@@ -128,8 +127,9 @@ class Line(SimulatedLine):
         n, k, y = self._layout.axes, self._layout.spans, self._layout.y(self._state)
         if not has_pieces(self._state):
             return [WHOLE] * k
-        stretch = 1.0 + float(laws.upstream_strain(self._p, self._inputs[lay.U_STRAIN_PREV], self.time_s))
-        travel_m = float(motion.web_travel_m(self._p, y[0]))
+        web, first = record_at(self._p, lay.WEB), self._layout.axis_rows(self._p)[0]
+        stretch = 1.0 + float(laws.upstream_strain(web, self._inputs[0], self.time_s))
+        travel_m = float(reels.web_travel_m(first, y[0]))
         return spliced_spans(self._state, travel_m, stretch, y[4 * n : 4 * n + k].tolist())
 
     @property
@@ -212,9 +212,9 @@ def _radii(parameters: ModelParameters) -> dict[Quantity, Callable[[Vector], flo
     return found
 
 
-def _radius_m(reel: Vector, place: int, y: Vector) -> float:
+def _radius_m(reel: Any, place: int, y: Vector) -> float:
     """Radius of a reel by the row of its axis and its position at `place` of the integrated quantities."""
-    return float(reel[lay.A_RADIUS_M] * reels.radius_ratio(reel, 0, y[place]))
+    return float(reel.radius_m * reels.radius_ratio(reel, y[place]))
 
 
 def _forces(parameters: ModelParameters) -> dict[Quantity, CarriagePush]:
@@ -224,9 +224,16 @@ def _forces(parameters: ModelParameters) -> dict[Quantity, CarriagePush]:
     for row, carriage in enumerate(parameters.carriages, rollers):
         station = carriage.station
         quantity = Quantity(force_input(station.name), "N", f"that pushes the carriage: {station.name}")
-        found[quantity] = CarriagePush(row, rows.item(row, lay.A_FORCE_N) - station.force_N)
+        found[quantity] = CarriagePush(row, float(rows[row].force_N) - station.force_N)
     return found
 
 
 def _acts_on_elasticity(effect_id: str) -> bool:
     return find_effect(effect_id).domain is Domain.ELASTICITY
+
+
+def elasticity_factor(p: Vector, span: int, time_s: float) -> float:
+    """Factor on E of a span, from 1, at a time by the effects in a parameter vector (P,), without a splice."""
+    row = lay.Layout.of(p).span_rows(p)[span - 1]
+    factor = laws.step_factor(row, time_s, p[lay.W_SAMPLE_TIME_S])
+    return float(laws.elasticity_factor(row, time_s, factor))

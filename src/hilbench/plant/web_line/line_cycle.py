@@ -3,67 +3,110 @@ and true values."""
 
 from __future__ import annotations
 
+from typing import Annotated, Any, Final, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, compiled, entry_point, floats, integers
-from hilbench.plant.measured_motion import ahead_s, elapsed_s, publish, take
+from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, compiled, entry_point, record_type
+from hilbench.compiled import records as array_of
+from hilbench.plant.measured_motion import MotionVectors, ahead_s, elapsed_s, publish, take
+from hilbench.plant.web_line import kernel, line_kernel, line_vectors, records, reels
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line import line_kernel, places
-from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.line_kernel import FollowedLine
 
 Table = NDArray[np.int64]
-Places = NDArray[np.int64]
+#: A load motor: its driven roller, from 0, and rad per m at its shaft; whether the web loads it.
+LOAD: Final = record_type("roller", "rad_per_m", "loaded")
 
-# Rows of the table: those of `line_kernel.pull`, those of the measured motion, zero position offsets (N,), indices of
-# the outputs in the kernel's report and in the integrated quantities, and rows of the reels; room for all outputs; then
-# the process image's values and the offsets in it.
-_MOTION, _TRAVELS, _POSITIONS, _FURTHER, _COLUMNS, _STATES, _REELS, _SHOWN, _VALUES, _AT = range(
-    line_kernel.TORQUES + 1, line_kernel.TORQUES + 11
-)
 
+class LoadedLine(NamedTuple):
+    """Line with load motors (L,): speeds of the driven rollers (N,) m/s; room for a state, and for its outputs; torques
+    (L,) N·m, by the line `lead_s` (1,) later; E of the spans (K,) Pa."""
+
+    of: FollowedLine
+    loads: Annotated[Any, array_of(LOAD)]
+    speeds: Reals
+    guess: Reals
+    ahead: Reals
+    torques: Reals
+    lead_s: Reals
+    moduli: Reals
+
+
+class LineCycle(NamedTuple):
+    """Loaded line on measured motion: zero position offsets (N,); indices of the outputs in the kernel's report and in
+    the integrated quantities, and rows of the reels; room for all outputs; the process image's values and the offsets
+    in it."""
+
+    loaded: LoadedLine
+    motion: MotionVectors
+    further: Reals
+    columns: Wholes
+    states: Wholes
+    reels: Wholes
+    shown: Reals
+    values: Reals
+    at: Wholes
+
+
+#: What `follow` does: a cycle with a sample that is on time, or late; load torques and E only.
+ON_TIME, LATE, PULL = 0, 1, 2
 #: Results of `follow`.
-NOTHING, FOLLOWED = range(2)
+NOTHING, FOLLOWED = 0, 1
 
 
 @compiled
-def _show(
-    p: Vector, s: Vector, u: Vector, out: Vector, columns: Places, states: Places, rows: Places, shown: Vector
-) -> None:
-    """Write the outputs in the order of the follower's description."""
-    at = 0
-    for j in range(len(columns)):
-        shown[at] = out[columns[j]]
-        at += 1
-    for j in range(len(states)):
-        shown[at] = s[lay.S_Y + states[j]]
-        at += 1
-    for j in range(len(rows)):
-        shown[at] = p[places.axis(rows[j]) + lay.A_RADIUS_M] * line_kernel.ratio(p, s, rows[j])
-        at += 1
-    line_kernel.put_moduli(p, s, u, shown, at)
+def _pull(loaded: LoadedLine, lead_s: float) -> None:
+    """Load torques, by the line predicted `lead_s` ahead at its driven rollers' present motion; and E of its spans."""
+    of, guess = loaded.of, loaded.guess
+    line = line_vectors.arrays(of.line)
+    ahead = records.line_of(line.p, guess, line.u, line.w)
+    for j in range(len(guess)):
+        guess[j] = line.s[j]
+    if lead_s > 0.0:
+        line_kernel.predict(line, ahead, of, lead_s)
+    kernel.observe(line.p, guess, line.u, line.w, loaded.ahead)
+    for j in range(len(loaded.torques)):
+        load, i = loaded.loads[j], int(loaded.loads[j].roller)
+        loaded.torques[j] = line_kernel.web_torque_Nm(
+            line, loaded.ahead, of.rows[i], load.loaded != 0.0, load.rad_per_m, loaded.speeds[i]
+        )
+    line_kernel.put_moduli(line, loaded.moduli, 0)
 
 
-#: follow(late-sample flag, table of the vectors in the order of these rows, the last are values and offsets in these):
-#: as of `measured_motion.InStep`.
-@entry_point(COUNT, TABLE)
-def follow(late: int, table: Table) -> int:
+#: follow(what, table of a `LineCycle`, or, only to pull, a `LoadedLine`): as of `measured_motion.InStep`.
+@entry_point(COUNT, TABLE, allocates=False)
+def follow(what: int, table: Table) -> int:
     if len(table) == 0:
         return NOTHING
-    values, at = floats(table, _VALUES, (1,)), integers(table, _AT, (1,))
-    motion, travels, x = floats(table, _MOTION, (1,)), floats(table, _TRAVELS, (1,)), floats(table, _POSITIONS, (1,))
-    speeds = floats(table, line_kernel.SPEEDS, (1,))
-    take(values, at, x, speeds)
-    duration_s = elapsed_s(motion, travels, x, speeds, late != 0)
+    if what == PULL:
+        loaded = arrays_in(table, LoadedLine)
+        _pull(loaded, loaded.lead_s[0])
+        return FOLLOWED
+    cycle = arrays_in(table, LineCycle)
+    loaded, motion, values, at = cycle.loaded, cycle.motion, cycle.values, cycle.at
+    take(values, at, motion.positions, loaded.speeds)
+    duration_s = elapsed_s(motion.state, motion.travels, motion.positions, loaded.speeds, what == LATE)
     if not duration_s > 0.0:
         return NOTHING
-    line_kernel.follow_alone(table, x, floats(table, _FURTHER, (1,)), duration_s)
-    p, s = floats(table, line_kernel.P, (1,)), floats(table, line_kernel.STATE, (1,))
-    u, shown = floats(table, line_kernel.INPUTS, (1,)), floats(table, _SHOWN, (1,))
-    _show(
-        p, s, u, floats(table, line_kernel.OUT, (1,)), integers(table, _COLUMNS, (1,)),
-        integers(table, _STATES, (1,)), integers(table, _REELS, (1,)), shown,
-    )  # fmt: skip
-    line_kernel.pull_alone(table, ahead_s(motion))
-    publish(values, at[2 * len(x) :], floats(table, line_kernel.TORQUES, (1,)), shown)
+    line = line_vectors.arrays(loaded.of.line)
+    line_kernel.follow_to(line, loaded.of, motion.positions, cycle.further, duration_s)
+    kernel.observe(*loaded.of.line)
+    _pull(loaded, ahead_s(motion.state))
+    shown, place = cycle.shown, 0
+    for column in cycle.columns:
+        shown[place] = loaded.of.line.out[column]
+        place += 1
+    for state in cycle.states:
+        shown[place] = line.s[lay.S_Y + state]
+        place += 1
+    for row in cycle.reels:
+        axis = records.axis(line, row)
+        shown[place] = axis.radius_m * reels.radius_ratio(axis, line.s[lay.S_Y + row])
+        place += 1
+    for modulus_Pa in loaded.moduli:
+        shown[place] = modulus_Pa
+        place += 1
+    publish(values, at[2 * len(motion.positions) :], loaded.torques, cycle.shown)
     return FOLLOWED

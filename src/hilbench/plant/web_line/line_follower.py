@@ -10,7 +10,7 @@ its gear has no play.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,7 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_cycle, line_kernel
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.line_cycle import LineCycle, LoadedLine
 from hilbench.plant.web_line.modes import needed_substeps
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -37,10 +38,10 @@ BROKEN = Quantity("broken", "1", "1: the web has torn and pulls no more; 0: it i
 
 def hold(p: Vector) -> None:
     """Make the driven rollers of a line immovable, in its parameters (P,), except by measured motion."""
-    for row in lay.driven_rows(p):
-        axis = lay.Layout.of(p).axis_rows(p)[row]
-        axis[lay.A_MOTOR_MASS_KG], axis[lay.A_ROLLER_MASS_KG] = 0.0, np.inf
-        axis[lay.A_WOUND_KG] = axis[lay.place("backlash", "gap_rad")] = 0.0
+    for axis in lay.Layout.of(p).axis_rows(p):
+        if axis.number > 0.0:
+            axis.motor_mass_kg, axis.roller_mass_kg = 0.0, np.inf
+            axis.wound_kg = axis.backlash.gap_rad = 0.0
 
 
 def step_s(parameters: ModelParameters) -> float:
@@ -54,33 +55,31 @@ class PerturbedCopies:
     may be changed; `put` writes them back."""
 
     def __init__(self, lines: Sequence[LineFollower]) -> None:
-        first = lines[0].vectors
-        n, k = int(first.p[lay.W_AXES]), int(first.p[lay.W_SPANS])
-        rows = lines[0].driven_rows
-        self._x = np.zeros(len(rows))
+        layout, count = lines[0]._layout, len(lines[0].driven_rows)
+        self._x = np.zeros(count)
         #: Position offsets of the driven rollers (F, N), m.
-        self.offsets_m = np.zeros((len(lines), len(rows)))
-        self.tensions_N = np.zeros((len(lines), k))  #: as last shown, (F, K)
-        self.motions = np.zeros((len(lines), 4 * n + 2 * k))  #: integrated quantities (F, Y), see `Layout.y`
+        self.offsets_m = np.zeros((len(lines), count))
+        self.tensions_N = np.zeros((len(lines), layout.spans))  #: as last shown, (F, K)
+        self.motions = np.zeros((len(lines), layout.y_size))  #: integrated quantities (F, Y), see `Layout.y`
         #: Radii of the first line's driven rollers (N,) over those at the start; 1 of one that is no reel.
-        self.ratios = np.ones(len(rows))
-        shared = (self._x, rows, self.offsets_m, self.tensions_N, self.motions, self.ratios)
-        self._kept = (*shared, *(vector for line in lines for vector in line.vectors_in_order))
+        self.ratios = np.ones(count)
+        shared = line_kernel.Copies(self._x, self.offsets_m, self.tensions_N, self.motions, self.ratios)
+        self._kept = shared, *(line.followed for line in lines)
         self._table = table_of(self._kept)
 
     def follow(self, positions: Sequence[float] | Vector, duration_s: float) -> None:
         """Move the driven rollers to `positions` (N,), m, `duration_s` after the last call."""
         self._x[:] = positions
-        line_kernel.follow(duration_s, self._table)
+        line_kernel.follow(duration_s, 0, len(self.offsets_m), self._table)
 
     def show(self) -> Self:
         """Update the outputs after changes of the lines."""
-        line_kernel.show(0.0, self._table)
+        line_kernel.follow(0.0, 0, len(self.offsets_m), self._table)
         return self
 
     def put(self) -> None:
         """Write `motions` back to the lines."""
-        line_kernel.put(0.0, self._table)
+        line_kernel.follow(0.0, 1, len(self.offsets_m), self._table)
 
 
 class StateTransfer:
@@ -88,28 +87,27 @@ class StateTransfer:
     `axes`, from 1."""
 
     def __init__(self, follower: LineFollower, line: Line, axes: Sequence[int] = ()) -> None:
-        n, k = int(follower.vectors.p[lay.W_AXES]), int(follower.vectors.p[lay.W_SPANS])
+        n, k = follower._layout.axes, follower._layout.spans
         rows = follower.driven_rows[np.array(axes, int) - 1].tolist()
         places = [*follower.further_places, *rows, *(n + row for row in rows)]
         # Roller and motor turn together.
-        at = np.array([*places, *(2 * n + place for place in places), *range(4 * n, 4 * n + 2 * k)], np.int64)
-        self._line, self._kept = line, (follower.vectors.s, at, *line.vectors)
+        at = [*places, *(2 * n + place for place in places), *range(4 * n, 4 * n + 2 * k)]
+        self._line, self._at, size = line, np.array(at), line._layout.y_size
+        self._from, self._to = follower.motion, line._layout.y(line._state)
+        copies = line_kernel.Copies(
+            *(np.zeros(1), np.zeros((1, 0)), np.zeros((1, k)), np.zeros((1, size)), np.zeros(1))
+        )
+        nothing = np.zeros(4), np.zeros(0, line_kernel.ROLLER), np.zeros(0, np.int64)
+        self._kept = copies, line_kernel.FollowedLine(line.vectors, *nothing)
         self._table = table_of(self._kept)
 
     def __call__(self) -> None:
         """Transfer the present state."""
-        line_kernel.hand_on(0.0, self._table)
+        (motion,) = self._kept[0].motions
+        motion[:] = self._to
+        motion[self._at] = self._from[self._at]
+        line_kernel.follow(0.0, 1, 1, self._table)
         self._line.show()
-
-
-class _Pull(NamedTuple):
-    """Load-motor torque calculation; see `line_kernel`."""
-
-    table: NDArray[np.int64]
-    speeds: Vector
-    ahead: Vector
-    torques_Nm: Vector
-    kept: tuple[NDArray[Any], ...]
 
 
 class LineFollower(Line):
@@ -127,22 +125,22 @@ class LineFollower(Line):
         hold(self._p)
         count, carries = len(self._driven), parameters.carries_web_load
         self._rows = np.array(self._driven, np.int64)
-        #: Motion history of the driven rollers; see `line_kernel`.
-        self.memory = np.zeros(line_kernel.FIRST + 3 * count)
-        sample_s = float(self._p[lay.W_SAMPLE_TIME_S])
-        self.memory[[line_kernel.SAMPLE_S, line_kernel.STEP_S]] = sample_s, step_s(self.parameters)
+        history = np.array([0.0, 0.0, self._p[lay.W_SAMPLE_TIME_S], step_s(self.parameters)])
+        rollers = np.zeros(count, line_kernel.ROLLER)
+        #: With the motion history of the driven rollers.
+        self.followed = line_kernel.FollowedLine(self.vectors, history, rollers, self._rows)
         loads = [(axis, parameters.motor_rad_per_m(axis + 1), carries(axis + 1)) for axis in range(count)]
-        self._all_loads = np.array(loads, float).reshape(count, 3)
-        self._alone = PerturbedCopies([self])
-        self._pulls: dict[tuple[int, ...], _Pull] = {}
+        self._all_loads = np.array(loads, line_cycle.LOAD)
+        self._alone, self._table = PerturbedCopies([self]), table_of(self.followed)
+        self._loaded: dict[tuple[int, ...], tuple[LoadedLine, NDArray[np.int64]]] = {}
         self._described = _description(self._description)
         self._forget_motion()
         self._observe()
 
     def _forget_motion(self) -> None:
         """Forget the motion history of the driven rollers."""
-        self.memory[[line_kernel.KNOWN, line_kernel.DURATION_S]] = 0.0
-        self.memory[line_kernel.FIRST :] = 0.0
+        self.followed.history[:2] = 0.0
+        self.followed.rollers[:] = 0.0
 
     def describe(self) -> PlantDescription:
         """Description; see `hilbench.plant.interface.Machine`."""
@@ -180,7 +178,7 @@ class LineFollower(Line):
             raise ValueError(f"positions {x_m.shape}, boundary {boundary.shape}, expected (n, {n}) and (n, 2)")
         tensions = np.empty((len(x_m), self._layout.spans))
         x, limits = np.ascontiguousarray(x_m, dtype=float), np.ascontiguousarray(boundary, dtype=float)
-        line_kernel.follow_rows(*self.vectors, self.memory, self._rows, x, limits, cycle_s, tensions)
+        line_kernel.follow_rows(self._table, x, np.zeros(n), limits, cycle_s, tensions)
         return tensions
 
     def follow_on(
@@ -213,9 +211,7 @@ class LineFollower(Line):
         """Tensions (K,) predicted `lead_s` ahead with the driven rollers' present motion; changes nothing."""
         if not lead_s > 0.0:
             return self.tension_N
-        pull = self._pull_of(())
-        line_kernel.pull(lead_s, pull.table)
-        tension: Vector = pull.ahead[self._layout.columns["F_N"]].copy()
+        tension: Vector = self._pulled((), lead_s).ahead[self._layout.columns["F_N"]].copy()
         return tension
 
     def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
@@ -226,19 +222,31 @@ class LineFollower(Line):
         the roller, F_next that of the span after it; of a reel one of them, with its present radius in place of the
         nominal.
         """
-        pull = self._pull_of(tuple(axes))
-        pull.speeds[:] = speeds
-        line_kernel.pull(max(lead_s, 0.0), pull.table)
-        found: list[float] = pull.torques_Nm.tolist()
+        found: list[float] = self._pulled(tuple(axes), max(lead_s, 0.0), speeds).torques.tolist()
         return found
 
     def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> LineInStep:
         """Compiled follower with load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
         return LineInStep(self, motion, axes)
 
-    def pulled_by(self, axes: Sequence[int]) -> tuple[NDArray[Any], ...]:
-        """Vectors of `line_kernel.pull` for load motors on these axes."""
-        return self._pull_of(tuple(axes)).kept
+    def loaded(self, axes: tuple[int, ...]) -> tuple[LoadedLine, NDArray[np.int64]]:
+        """Vectors, and their table, of this line with load motors on these axes."""
+        if axes not in self._loaded:
+            loads = self._all_loads[np.array(axes, int) - 1]
+            speeds, guess, ahead = (np.zeros(len(each)) for each in (self._driven, self._state, self._out))
+            torques_Nm, lead_s, moduli_Pa = (np.zeros(count) for count in (len(axes), 1, self._layout.spans))
+            loaded = LoadedLine(self.followed, loads, speeds, guess, ahead, torques_Nm, lead_s, moduli_Pa)
+            self._loaded[axes] = loaded, table_of(loaded)
+        return self._loaded[axes]
+
+    def _pulled(self, axes: tuple[int, ...], lead_s: float, speeds: Sequence[float] = ()) -> LoadedLine:
+        """Update load torques, by the line predicted `lead_s` ahead, and E of its spans."""
+        loaded, table = self.loaded(axes)
+        if axes:
+            loaded.speeds[:] = speeds
+        loaded.lead_s[0] = lead_s
+        line_cycle.follow(line_cycle.PULL, table)
+        return loaded
 
     @property
     def is_torn(self) -> bool:
@@ -246,7 +254,7 @@ class LineFollower(Line):
         return self._torn_Pa is not None
 
     @property
-    def places_of_outputs(self) -> tuple[NDArray[np.int64], ...]:
+    def places_of_outputs(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """Indices of the described outputs: in the kernel's report; in the integrated quantities; rows of the reels,
         whose radii follow, and then E of the spans."""
         reels = [row for row, roller in enumerate(self.parameters.line_rollers) if isinstance(roller.station, Reel)]
@@ -256,21 +264,6 @@ class LineFollower(Line):
     def web_torque_Nm(self, axis: int, v_m_s: float) -> float:
         """Load torque of one axis at the present tensions."""
         return self.load_torques_Nm([axis], [v_m_s] * len(self._driven), 0.0)[0]
-
-    def _pull_of(self, axes: tuple[int, ...]) -> _Pull:
-        """Vectors and table of `line_kernel.pull` for load motors on these axes."""
-        if axes not in self._pulls:
-            loads = self._all_loads[np.array(axes, int) - 1]
-            own, room = (*self.vectors_in_order, self._rows), (np.zeros_like(self._state), np.zeros_like(self._out))
-            speeds, torques_Nm = np.zeros(len(self._driven)), np.zeros(len(axes))
-            kept = (*own, loads, speeds, *room, torques_Nm)
-            self._pulls[axes] = _Pull(table_of(kept), speeds, room[1], torques_Nm, kept)
-        return self._pulls[axes]
-
-    @property
-    def vectors_in_order(self) -> tuple[Vector, ...]:
-        """Vectors of the follower, in the order of `line_kernel`."""
-        return (*self.vectors, self.memory)
 
     @property
     def driven_rows(self) -> NDArray[np.int64]:
@@ -285,9 +278,9 @@ class LineFollower(Line):
     @property
     def effective_moduli_Pa(self) -> Vector:
         """Present E of each span (K,), with effects, including a splice in it; of a broken web as if it were whole."""
-        torn, moduli_Pa = self.is_torn, np.zeros(self._layout.spans)
+        torn = self.is_torn
         self._tear(False)
-        line_kernel.moduli(self._p, self._state, self._inputs, moduli_Pa)
+        moduli_Pa = self._pulled((), 0.0).moduli.copy()
         self._tear(torn)
         return moduli_Pa
 
@@ -322,7 +315,7 @@ class LineFollower(Line):
 
     def put_modulus(self, span: int, modulus_Pa: float) -> None:
         """Set E of a span, from 1, of a web that is not broken; outputs follow with the next call."""
-        self._p[self._layout.first_span + (span - 1) * lay.SP_SIZE + lay.SP_MODULUS_PA] = modulus_Pa
+        self._p[int(self.moduli[0, span - 1])] = modulus_Pa
 
     def set_parameter(self, name: str, value: float) -> None:
         """Set a parameter from now on. Raises ValueError for an unknown name or an impossible value."""
@@ -340,7 +333,7 @@ class LineFollower(Line):
 
     def _tear(self, torn: bool) -> None:
         """Break the web, or restore it."""
-        moduli = self._layout.span_rows(self._p)[:, lay.SP_MODULUS_PA]
+        moduli = self._layout.span_rows(self._p).modulus_Pa
         if torn and self._torn_Pa is None:
             self._torn_Pa = moduli.copy()
             moduli[:] = 0.0
@@ -354,12 +347,11 @@ class LineInStep(CompiledInStep):
 
     def __init__(self, line: LineFollower, motion: MeasuredMotion, axes: Sequence[int]) -> None:
         self._line = line
-        pulled = line.pulled_by(axes)
-        further = np.zeros(len(motion.positions))
-        outputs = line.places_of_outputs
-        shown = np.zeros(len(line.describe().outputs))
-        kept = *pulled, motion.state, motion.travels, motion.positions, further, *outputs, shown
-        super().__init__(line_cycle.follow, line_cycle.FOLLOWED, pulled[-1], kept)
+        loaded, further = line.loaded(tuple(axes))[0], np.zeros(len(line.driven_rows))
+        shown, values, at = np.zeros(len(line.describe().outputs)), np.zeros(0), np.zeros(0, np.int64)
+        columns, states, reels = line.places_of_outputs
+        arrays = LineCycle(loaded, motion.vectors, further, columns, states, reels, shown, values, at)
+        super().__init__(line_cycle.follow, line_cycle.FOLLOWED, loaded.torques, arrays)
 
     @property
     def usable(self) -> bool:

@@ -7,56 +7,21 @@ which encoders measure far better than speeds; each torque from the momentum bal
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sin
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, entry_point, inlined
+from hilbench.compiled import MATRIX, REAL, VECTOR, entry_point
 from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.sampling import on_all_cores
-from hilbench.plant.web_line import laws, splice_laws
+from hilbench.plant.web_line import laws, motion, records, splice_laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.inverse import reported_torque_Nm, true_motion
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
-
-
-@inlined
-def _pull_N(p: Vector, w: Vector, tension: int, i: int, n: int, upstream_N: float, downstream_N: float) -> float:
-    """Force of the web on roller i, N forward."""
-    if p[lay.W_SIZE + i * lay.A_SIZE + lay.A_WEB_LOAD] == 0.0:
-        return 0.0
-    before = w[tension + i - 1] if i > 0 else upstream_N
-    return (w[tension + i] if i < n - 1 else downstream_N) - before
-
-
-@inlined
-def _parts(n: int) -> tuple[int, int, int, int, int, int]:
-    """Offsets in the scratch space of a line of n rollers: web speeds, tensions, rates of the unstretched and of the
-    nominal lengths, these lengths, factors of the steps of E."""
-    k = n - 1
-    return 0, n, n + k, n + 2 * k, n + 3 * k, n + 5 * k
-
-
-@inlined
-def _rates(
-    p: Vector, s: Vector, n: int, t: float, strain_prev: float, next_N: float, w: Vector, travel_m: float, blur_m: float
-) -> None:
-    """Tensions and rates of the spans, in the scratch space `w`; `s`: pieces of other web."""
-    speed, tension, rate, length_rate, material, steps = _parts(n)
-    k, first = n - 1, lay.W_SIZE + n * (lay.A_SIZE + lay.M_SIZE)
-    strain_next = laws.downstream_strain(p, next_N)
-    if splice_laws.has_splice(p, s, 0):
-        splice_laws.spliced_span_rates(
-            p, s, 0, first, k, t, strain_prev, next_N, strain_next, w, steps, speed, material, length_rate, tension,
-            rate, travel_m, blur_m,
-        )  # fmt: skip
-    else:
-        laws.span_rates(
-            p, first, k, t, strain_prev, next_N, strain_next, w, steps, speed, material, length_rate, tension, rate
-        )
 
 
 @entry_point(VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX, REAL, MATRIX, MATRIX, MATRIX)
@@ -72,65 +37,62 @@ def _required_torques(
     F_N: Vector,
     strain: Vector,
 ) -> None:
-    n = x_m.shape[1]
-    k = n - 1
+    n, k, rows = x_m.shape[1], x_m.shape[1] - 1, x_m.shape[0]
     xs, vs, accelerations = np.empty_like(x_m), np.empty_like(x_m), np.empty_like(x_m)
+    line = records.of_parameters(p)
     for i in range(n):
-        motor = lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
-        for row in range(x_m.shape[0]):
+        motor = records.motor(line, i)
+        for row in range(rows):
             xs[row, i], vs[row, i], accelerations[row, i] = true_motion(
-                p, motor, x_m[row, i], v_m_s[row, i], a_m_s2[row, i]
+                motor, x_m[row, i], v_m_s[row, i], a_m_s2[row, i]
             )
-    speed, tension, rate, _, material, steps = _parts(n)
-    w, first_span = np.zeros(n + 6 * k), lay.W_SIZE + n * (lay.A_SIZE + lay.M_SIZE)
-    s, blur = np.zeros(lay.PIECES_SIZE), lay.LEAST_BLUR_M
-    begin, first = np.zeros(k), np.zeros(k)
+    s, u = np.zeros(records.past(line, n) + lay.PIECES_SIZE), np.zeros(lay.U_MOTORS)
+    w = np.zeros(records.block(line, lay.BLOCKS) + lay.CALL_SIZE + n * lay.PART_SIZE)
+    line = records.line_of(p, s, u, w)
+    web, pieces, around = records.web(line), records.pieces(line), records.boundary(line)
+    y = records.block(line, lay.STAGE)
+    material, begin, first = y + 4 * n, np.zeros(k), np.zeros(k)
     for j in range(k):
         w[material + k + j] = lengths[j]
-        w[material + j] = lengths[j] * laws.length_factor(p, first_span + j * lay.SP_SIZE) / (1.0 + boundary[0, 0])
-    for row in range(x_m.shape[0]):
+        w[material + j] = lengths[j] * laws.length_factor(records.span(line, j)) / (1.0 + boundary[0, 0])
+    records.call(line).blur_m = lay.LEAST_BLUR_M
+    for row in range(rows):
         t = row * period_s
-        laws.put_step_factors(p, first_span, k, t, period_s, w, steps)
-        strain_prev = laws.upstream_strain(p, boundary[row, 0], t)
-        downstream = boundary[row, 1]
+        laws.put_step_factors(line, t, period_s)
+        around.strain_prev, around.F_next_N = boundary[row, 0], boundary[row, 1]
+        strain_prev = motion.strain_prev(line, t)
         for i in range(n):
-            w[speed + i] = laws.web_speed_m_s(p, lay.W_SIZE + i * lay.A_SIZE, xs[row, i], vs[row, i])
-        travel = xs[row, 0]
-        if splice_laws.has_splice(p, s, 0):
-            blur = max(abs(vs[row, 0]) * period_s, lay.LEAST_BLUR_M)
-            splice_laws.let_splice_in(p, s, 0, t, period_s, travel, vs[row, 0], strain_prev)
-        _rates(p, s, n, t, strain_prev, downstream, w, travel, blur)
+            records.part(line, i).speed_m_s = laws.web_speed_m_s(records.axis(line, i), xs[row, i], vs[row, i])
+        if splice_laws.has_splice(web, pieces):
+            records.call(line).blur_m = max(abs(vs[row, 0]) * period_s, lay.LEAST_BLUR_M)
+            splice_laws.let_splice_in(web, pieces, t, period_s, xs[row, 0], vs[row, 0], strain_prev)
+        motion.span_rates(line, t, strain_prev, material, xs[row, 0])
         for j in range(k):
-            F_N[row, j] = w[tension + j]
-            scale = laws.length_factor(p, first_span + j * lay.SP_SIZE)
-            strain[row, j] = w[material + k + j] * scale / w[material + j] - 1.0
-        upstream = strain_prev * p[lay.W_UPSTREAM_STIFFNESS_N]
+            F_N[row, j] = records.part(line, j).tension_N
+            strain[row, j] = laws.stretch(line, material, j) - 1.0
         for i in range(n):
-            axis, motor = lay.W_SIZE + i * lay.A_SIZE, lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
-            pull = _pull_N(p, w, tension, i, n, upstream, downstream)
-            x, v, a = xs[row, i], vs[row, i], accelerations[row, i]
-            direction = measured_direction(v, laws.FRICTION_WIDTH_M_S)
-            tau_Nm[row, i] = reported_torque_Nm(p, axis, motor, t, x, v, a, a, pull, direction, 1.0)
-        if row + 1 == x_m.shape[0]:
+            pull, v = motion.web_force_N(line, i, y, strain_prev, True), vs[row, i]
+            direction, moved = measured_direction(v, laws.FRICTION_WIDTH_M_S), (xs[row, i], v, accelerations[row, i])
+            tau_Nm[row, i] = reported_torque_Nm(line, i, t, moved, accelerations[row, i], pull, direction, 1.0)
+        if row + 1 == rows:
             break
         # To the next row by Heun's rule, with the web's travel instead of speeds: it is exact, whatever the period.
         for i in range(n):
-            axis = lay.W_SIZE + i * lay.A_SIZE
-            gone = xs[row + 1, i] - xs[row, i] + laws.eccentric_travel_m(p, axis, xs[row, i], xs[row + 1, i])
-            w[speed + i] = gone / period_s
+            x, end, off, gone = xs[row, i], xs[row + 1, i], records.axis(line, i).roller_eccentricity, 0.0
+            if off.amplitude_m != 0.0:  # `laws.web_speed_m_s` integrated
+                radius = records.axis(line, i).radius_m
+                gone = off.amplitude_m * (sin(end / radius + off.phase_rad) - sin(x / radius + off.phase_rad))
+            records.part(line, i).speed_m_s = (end - x + gone) / period_s
+        begin[:] = w[material : material + k]
+        motion.span_rates(line, t, strain_prev, material, xs[row, 0])
         for j in range(k):
-            begin[j] = w[material + j]
-        _rates(p, s, n, t, strain_prev, downstream, w, travel, blur)
-        for j in range(k):
-            first[j] = w[rate + j]
+            first[j] = records.part(line, j).rate_m_s
             w[material + j] = begin[j] + period_s * first[j]
-        _rates(p, s, n, t, strain_prev, downstream, w, xs[row + 1, 0], blur)
+        motion.span_rates(line, t, strain_prev, material, xs[row + 1, 0])
         for j in range(k):
-            w[material + j] = begin[j] + 0.5 * period_s * (first[j] + w[rate + j])
-    rows = x_m.shape[0]
+            w[material + j] = begin[j] + 0.5 * period_s * (first[j] + records.part(line, j).rate_m_s)
     for i in range(n):
-        motor = lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
-        late = laws.reporting_delay_s(p, motor) / period_s
+        late = records.motor(line, i).torque_delay.delay_s / period_s
         whole = int(late)
         share = late - whole
         for row in range(rows - 1, -1, -1):

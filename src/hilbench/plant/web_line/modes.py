@@ -22,9 +22,8 @@ def natural_frequencies_rad_s(model: ModelParameters) -> Vector:
     p = lay.pack(model)
     layout = Layout.of(p)
     rows = layout.axis_rows(p)
-    mass = rows[:, lay.A_MOTOR_MASS_KG] + rows[:, lay.A_ROLLER_MASS_KG]
-    wound = rows[:, lay.A_REEL_SLOPE_PER_M] != 0.0
-    mass = mass + np.where(wound, rows[:, lay.A_WOUND_KG] * (1.0 - rows[:, lay.A_CORE_RATIO] ** 4), 0.0)
+    wound_kg = np.where(rows.reel_slope_per_m != 0.0, rows.wound_kg * (1.0 - rows.core_ratio**4), 0.0)
+    mass = rows.motor_mass_kg + rows.roller_mass_kg + wound_kg
     stretch = np.zeros((layout.spans, layout.axes))
     for span in range(layout.spans):
         stretch[span, [span, span + 1]] = -1.0, 1.0
@@ -33,7 +32,7 @@ def natural_frequencies_rad_s(model: ModelParameters) -> Vector:
         gain = np.cos(carriage.station.position_m / arm) if arm else 1.0
         stretch[carriage.first_span - 1 : carriage.last_span, at] = gain
     per_m = [model.stiffness_N(span) / model.span_length_m(span) for span in range(1, layout.spans + 1)]
-    stiffness = stretch.T @ (np.array(per_m)[:, np.newaxis] * stretch) + np.diag(rows[:, lay.A_SPRING_N_PER_M])
+    stiffness = stretch.T @ (np.array(per_m)[:, np.newaxis] * stretch) + np.diag(rows.spring_N_per_m)
     scaled = stiffness / np.sqrt(np.outer(mass, mass))
     return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(scaled), 0.0)))
 

@@ -7,384 +7,320 @@ from __future__ import annotations
 
 from hilbench.compiled import compiled, inlined, merged, noinline
 from hilbench.plant import drive_loops as loops
-from hilbench.plant.web_line import carriages, laws, places, reels, splice_laws
+from hilbench.plant.web_line import carriages, laws, records, reels, splice_laws
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.records import LineArrays
 
 
 @inlined
-def web(
-    p: Vector,
-    s: Vector,
-    u: Vector,
-    w: Vector,
-    n: int,
-    m: int,
-    k: int,
-    t: float,
-    strain_prev: float,
-    y: int,
-    slides: bool,
-) -> None:
-    """Tensions (N), and rates of the unstretched lengths (m/s), for the quantities at `y`, into their parts of `w`.
+def strain_prev(line: LineArrays, t: float) -> float:
+    """Strain of the web that enters, with the disturbance."""
+    return laws.upstream_strain(records.web(line), records.boundary(line).strain_prev, t)
+
+
+@inlined
+def web(line: LineArrays, t: float, strain_prev: float, y: int, slides: bool) -> None:
+    """Tensions (N), and rates of the unstretched lengths (m/s), for the quantities at `y`, into the scratch space.
 
     `strain_prev`: strain of the web that enters, with the disturbance. `slides` as in `_go_axis`.
     """
-    speed, tension, rate = (
-        places.part(n, m, k, lay.SPEED),
-        places.part(n, m, k, lay.TENSION),
-        places.part(n, m, k, lay.RATE),
-    )
-    if k > 0:
-        for i in range(n):
-            w[speed + i] = laws.web_speed_m_s(p, places.axis(i), w[y + i], w[y + n + i])
-        first, steps, pieces = places.first_span(n, m), places.part(n, m, k, lay.STEPS), places.pieces(n, m, k)
-        length_rate = places.part(n, m, k, lay.LENGTH_RATE)
-        if not slides:
-            _put_rates_of_stations(p, u, w, n, m, k, y)
-        f_next, material = u[lay.U_F_NEXT_N], y + 4 * n
-        strain_next = laws.downstream_strain(p, f_next)
-        if not slides and splice_laws.has_splice(p, s, pieces):
-            blur = w[places.part(n, m, k, lay.SPLICE_BLUR)]
-            splice_laws.spliced_span_rates(
-                p, s, pieces, first, k, t, strain_prev, f_next, strain_next, w, steps, speed, material, length_rate,
-                tension, rate, web_travel_m(p, w[y]), blur,
-            )  # fmt: skip
+    if line.k > 0:
+        for i in range(line.n):
+            x, v = line.w[y + i], line.w[y + line.n + i]
+            records.part(line, i).speed_m_s = laws.web_speed_m_s(records.axis(line, i), x, v)
+        if slides:
+            laws.span_rates(line, t, strain_prev, y + 4 * line.n)
         else:
-            laws.span_rates(
-                p, first, k, t, strain_prev, f_next, strain_next, w, steps, speed, material, length_rate, tension, rate
-            )
+            _put_rates_of_stations(line, y)
+            travel_m = reels.web_travel_m(records.axis(line, 0), line.w[y])
+            span_rates(line, t, strain_prev, y + 4 * line.n, travel_m)
 
 
 @inlined
-def web_travel_m(p: Vector, x_m: float) -> float:
-    """Travel of the web at the first roller, whose position is x."""
-    return reels.web_travel_m(p, places.axis(0), x_m) if reels.is_reel(p, places.axis(0)) else x_m
+def span_rates(line: LineArrays, t: float, strain_prev: float, material: int, x_m: float) -> None:
+    """`laws.span_rates`, also with pieces of other web; `x_m`: travel of the web at roller 1."""
+    if splice_laws.has_splice(records.web(line), records.pieces(line)):
+        splice_laws.spliced_span_rates(line, t, strain_prev, material, x_m)
+    else:
+        laws.span_rates(line, t, strain_prev, material)
 
 
 @inlined
-def _put_rates_of_stations(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, y: int) -> None:
+def _put_rates_of_stations(line: LineArrays, y: int) -> None:
     """Apply reels to the web's speeds, and carriages to the rates of the lengths."""
-    speed, length_rate = places.part(n, m, k, lay.SPEED), places.part(n, m, k, lay.LENGTH_RATE)
-    if reels.is_reel(p, places.axis(0)):
-        w[speed] *= reels.radius_ratio(p, places.axis(0), w[y])
-    if reels.is_reel(p, places.axis(k)):
-        w[speed + k] *= reels.radius_ratio(p, places.axis(k), w[y + k])
+    n, m, k = line.n, line.m, line.k
+    for i in (0, k):
+        if records.axis(line, i).reel_slope_per_m != 0.0:
+            records.part(line, i).speed_m_s *= reels.radius_ratio(records.axis(line, i), line.w[y + i])
     if n > k + 1:
         for j in range(k):
-            w[length_rate + j] = u[lay.U_MOTORS + m * lay.UM_SIZE + j]
+            records.part(line, j).length_rate_m_s = line.u[lay.U_MOTORS + m * lay.UM_SIZE + j]
         for i in range(k + 1, n):
-            carriages.add_length_rates(p, w, places.axis(i), length_rate, w[y + i], w[y + n + i])
+            axis = records.axis(line, i)
+            rate = carriages.gain(axis, line.w[y + i]) * line.w[y + n + i]
+            for j in range(int(axis.first_span), int(axis.last_span) + 1):
+                records.part(line, j).length_rate_m_s += rate
 
 
 @inlined
-def shaft_of_motor(p: Vector, n: int, j: int) -> int:
+def shaft_of_motor(line: LineArrays, j: int) -> int:
     """Index of the position of motor j's shaft in the integrated quantities.
 
     An axis's own motor is on the motor's side of the gear play, a load motor on the roller's. Behind a twisting shaft,
     in place of the motor's side, is a part of the load.
     """
-    if j < n:
-        return j if laws.twists(p, places.axis(j)) else 2 * n + j
-    return int(p[places.motor(n, j) + lay.M_AXIS])
+    if j < line.n:
+        return j if records.axis(line, j).resonance.inertia_share != 0.0 else 2 * line.n + j
+    return int(records.motor(line, j).axis)
 
 
 @compiled
-def acceleration_behind_m_s2(p: Vector, w: Vector, n: int, i: int, y: int) -> float:
+def acceleration_behind_m_s2(line: LineArrays, i: int, y: int) -> float:
     """Acceleration of the load behind the twisting shaft of axis i."""
     noinline()
+    w, n = line.w, line.n
     twist, rate = w[y + 2 * n + i] - w[y + i], w[y + 3 * n + i] - w[y + n + i]
-    return laws.acceleration_behind(p, places.axis(i), twist, rate)
+    return laws.acceleration_behind(records.axis(line, i), twist, rate)
 
 
 @compiled
-def set_masses(p: Vector, w: Vector, t: float) -> None:
+def set_masses(line: LineArrays, t: float) -> None:
     """Set the inverse masses of all axes at a time; a twisting shaft separates the motor's mass from the load's."""
-    n, m, k = places.counts(p)
-    both, roller, motor = (
-        places.part(n, m, k, lay.PER_MASS),
-        places.part(n, m, k, lay.PER_ROLLER_MASS),
-        places.part(n, m, k, lay.PER_MOTOR_MASS),
-    )
-    for i in range(n):
-        axis = places.axis(i)
-        factor = laws.inertia_factor_at(p, axis, t)
-        motor_mass, roller_mass = p[axis + lay.A_MOTOR_MASS_KG] * factor, p[axis + lay.A_ROLLER_MASS_KG] * factor
-        moved = motor_mass + roller_mass
-        if laws.twists(p, axis):
-            roller_mass = laws.share_behind(p, axis) * moved
-            moved -= roller_mass
-        w[both + i] = 1.0 / moved
-        w[roller + i] = 1.0 / roller_mass
-        w[motor + i] = 1.0 / motor_mass
+    for i in range(line.n):
+        axis, part = records.axis(line, i), records.part(line, i)
+        factor = laws.inertia_factor_at(axis, t, records.web(line).sample_time_s)
+        motor_kg, roller_kg = axis.motor_mass_kg * factor, axis.roller_mass_kg * factor
+        moved_kg = motor_kg + roller_kg
+        if axis.resonance.inertia_share != 0.0:
+            roller_kg = axis.resonance.inertia_share * moved_kg
+            moved_kg -= roller_kg
+        part.per_kg, part.per_roller_kg, part.per_motor_kg = 1.0 / moved_kg, 1.0 / roller_kg, 1.0 / motor_kg
 
 
 @inlined
-def web_force_N(
-    p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int, strain_prev: float, slides: bool
-) -> float:
-    """Force of the web on axis i, N forward: the tension after the roller less the one before it, as last put into `w`.
+def web_force_N(line: LineArrays, i: int, y: int, strain_prev: float, slides: bool) -> float:
+    """Force of the web on axis i, N forward: the tension after the roller less the one before it, as last put into the
+    scratch space.
 
     An unwinder has none before it, a rewinder none after it; a carriage is loaded by all its strands. `slides` as in
     `_go_axis`.
     """
-    axis = places.axis(i)
-    if p[axis + lay.A_WEB_LOAD] == 0.0:
+    axis = records.axis(line, i)
+    if axis.web_load == 0.0:
         return 0.0
-    tension = places.part(n, m, k, lay.TENSION)
     if not slides:
-        if carriages.is_carriage(k, i):
-            return carriages.web_force_N(p, w, axis, tension, w[y + i])
-        if reels.is_reel(p, axis):
-            return reels.radius_ratio(p, axis, w[y + i]) * (w[tension] if i == 0 else -w[tension + k - 1])
-    before = w[tension + i - 1] if i > 0 else strain_prev * p[lay.W_UPSTREAM_STIFFNESS_N]
-    return (w[tension + i] if i < k else u[lay.U_F_NEXT_N]) - before
+        if carriages.is_carriage(line, i):
+            total = 0.0
+            for j in range(int(axis.first_span), int(axis.last_span) + 1):
+                total += records.part(line, j).tension_N
+            return -carriages.gain(axis, line.w[y + i]) * total
+        if axis.reel_slope_per_m != 0.0:
+            pull_N = records.part(line, 0).tension_N if i == 0 else -records.part(line, line.k - 1).tension_N
+            return reels.radius_ratio(axis, line.w[y + i]) * pull_N
+    before = records.part(line, i - 1).tension_N if i > 0 else strain_prev * records.web(line).upstream_stiffness_N
+    return (records.part(line, i).tension_N if i < line.k else records.boundary(line).F_next_N) - before
 
 
 @inlined
-def motor_force_N(p: Vector, w: Vector, n: int, m: int, k: int, j: int, x_m: float, slides: bool) -> float:
-    """Force of motor j at the web, N, from the torque in `w`; its shaft is at `x_m`. `slides` as in `_go_axis`."""
-    motor = places.motor(n, j)
-    ratio, torque = p[motor + lay.M_RAD_PER_M], w[places.part(n, m, k, lay.TORQUE) + j]
+def motor_force_N(line: LineArrays, j: int, x_m: float, slides: bool) -> float:
+    """Force of motor j at the web, N, from its present torque; its shaft is at `x_m`. `slides` as in `_go_axis`."""
+    motor, torque_Nm = records.motor(line, j), records.part(line, j).torque_Nm
+    ratio = motor.rad_per_m
     if slides:
-        return ratio * laws.usual_shaft_torque_Nm(p, motor, torque, x_m * ratio)
-    return ratio * laws.shaft_torque_Nm(p, motor, torque, x_m * ratio)
+        return ratio * laws.usual_shaft_torque_Nm(motor, torque_Nm, x_m * ratio)
+    return ratio * laws.shaft_torque_Nm(motor, torque_Nm, x_m * ratio)
 
 
 @inlined
-def own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int, slides: bool) -> float:
+def own_force_N(line: LineArrays, i: int, y: int, slides: bool) -> float:
     """Force on the roller's side of gear i without web and dry friction: load motors, resistance, unbalance, twist."""
-    force = -laws.smooth_resistance_N(p, places.axis(i), w[y + n + i])
+    axis, x, v = records.axis(line, i), line.w[y + i], line.w[y + line.n + i]
+    force = -laws.smooth_resistance_N(axis, v)
     if not slides:
-        force -= laws.drag_N(p, places.axis(i), w[y + n + i])
-        force += laws.unbalance_N(p, places.axis(i), w[y + i])
-        if carriages.is_carriage(k, i):
-            force += carriages.force_N(p, places.axis(i), w[y + i])
-        if laws.twists(p, places.axis(i)):
-            force -= acceleration_behind_m_s2(p, w, n, i, y) / w[places.part(n, m, k, lay.PER_ROLLER_MASS) + i]
-    for j in range(n, m):  # load motors; of a line without any, the loop is not compiled
-        if p[places.motor(n, j) + lay.M_AXIS] == i:
-            force += motor_force_N(p, w, n, m, k, j, w[y + i], slides)
+        force -= laws.drag_N(axis, v)
+        force += laws.unbalance_N(axis, x)
+        if carriages.is_carriage(line, i):
+            force += axis.force_N - axis.spring_N_per_m * (x - axis.spring_rest_m)
+        if axis.resonance.inertia_share != 0.0:
+            force -= acceleration_behind_m_s2(line, i, y) / records.part(line, i).per_roller_kg
+    for j in range(line.n, line.m):  # load motors; of a line without any, the loop is not compiled
+        if records.motor(line, j).axis == i:
+            force += motor_force_N(line, j, x, slides)
     return force
 
 
 @inlined
-def is_apart(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
+def is_apart(line: LineArrays, i: int) -> bool:
     """True if the motor of axis i moves within its gear play."""
-    return laws.has_gap(p, places.axis(i)) and s[places.axis_state(n, k, i) + lay.SA_CONTACT] == 0.0
+    return records.axis(line, i).backlash.gap_rad > 0.0 and records.mode(line, i).contact == 0.0
 
 
 @inlined
-def is_at_stop(s: Vector, n: int, k: int, i: int) -> bool:
+def is_at_stop(line: LineArrays, i: int) -> bool:
     """True if axis i is a carriage at one of its stops."""
-    return carriages.is_carriage(k, i) and s[places.axis_state(n, k, i) + lay.SA_CONTACT] != 0.0
+    return carriages.is_carriage(line, i) and records.mode(line, i).contact != 0.0
 
 
 @inlined
-def per_mass(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int) -> float:
-    """Inverse mass, 1/kg, of roller and motor i as one, of a reel with the web on it."""
-    axis = places.axis(i)
-    if reels.is_reel(p, axis):
-        return 1.0 / (reels.mass_kg(p, axis, w[y + i]) * laws.inertia_factor(p, axis))
-    return w[places.part(n, m, k, lay.PER_MASS) + i]
+def per_kg(line: LineArrays, i: int, y: int) -> float:
+    """Inverse mass of roller and motor i as one, of a reel with the web on it."""
+    axis = records.axis(line, i)
+    if axis.reel_slope_per_m != 0.0:
+        return 1.0 / (reels.mass_kg(axis, line.w[y + i]) * (1.0 + axis.inertia_mismatch.relative_change))
+    return records.part(line, i).per_kg
 
 
 @inlined
-def sticks(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
+def sticks(line: LineArrays, i: int) -> bool:
     """True if dry friction holds roller i."""
-    return s[places.axis_state(n, k, i) + lay.SA_DIRECTION] == 0.0 and laws.is_dry(p, places.axis(i))
+    return records.mode(line, i).direction == 0.0 and laws.is_dry(records.axis(line, i))
 
 
 @inlined
 def acceleration_m_s2(
-    p: Vector,
-    s: Vector,
-    n: int,
-    k: int,
-    i: int,
-    v: float,
-    per_mass: float,
-    force_N: float,
-    web_N: float,
-    load_N: float,
-    slides: bool,
+    line: LineArrays, i: int, v: float, per_kg: float, force_N: float, web_N: float, load_N: float, slides: bool
 ) -> float:
     """Acceleration, m/s², of a roller that does not stick, at speed `v` (m/s).
 
-    `per_mass`: 1/kg of all that turns with it; `force_N`: motors and smooth resistance on that, `web_N`: force of the
+    `per_kg`: 1/mass of all that turns with it; `force_N`: motors and smooth resistance on that, `web_N`: force of the
     web, `load_N`: force of its own motor through the gear. `slides` as in `_go_axis`.
     """
-    axis = places.axis(i)
+    axis, mode = records.axis(line, i), records.mode(line, i)
     if slides:
-        if laws.breakaway_N(p, axis) != 0.0:
-            force_N -= s[places.axis_state(n, k, i) + lay.SA_DIRECTION] * laws.dry_friction_N(p, axis, v)
-    elif laws.is_dry(p, axis):
-        friction = laws.dry_friction_N(p, axis, v) + laws.load_friction_N(p, axis, load_N)
-        force_N -= s[places.axis_state(n, k, i) + lay.SA_DIRECTION] * friction
-    return (force_N + web_N) * per_mass
+        if laws.breakaway_N(axis) != 0.0:
+            force_N -= mode.direction * laws.dry_friction_N(axis, v)
+    elif laws.is_dry(axis):
+        friction = laws.dry_friction_N(axis, v) + laws.load_friction_N(axis, load_N)
+        force_N -= mode.direction * friction
+    return (force_N + web_N) * per_kg
 
 
 @inlined
-def _go(w: Vector, size: int, j: int, rate: float, weight: float, ahead: float) -> None:
-    """Advance quantity j of `size`: its rate into the step's weighted sum, and the next stage, `ahead` s from now."""
-    w[lay.SUM * size + j] += weight * rate
-    w[lay.STAGE * size + j] = w[lay.NOW * size + j] + ahead * rate
+def _go(line: LineArrays, j: int, rate: float, weight: float, ahead: float) -> None:
+    """Advance quantity j: its rate into the step's weighted sum, and the next stage, `ahead` s from now."""
+    w, stage = line.w, records.block(line, lay.STAGE)
+    w[2 * stage + j] += weight * rate
+    w[stage + j] = w[j] + ahead * rate
 
 
 @inlined
-def _go_axis(
-    p: Vector,
-    s: Vector,
-    u: Vector,
-    w: Vector,
-    n: int,
-    m: int,
-    k: int,
-    i: int,
-    strain_prev: float,
-    weight: float,
-    ahead: float,
-    slides: bool,
-) -> None:
+def _go_axis(line: LineArrays, i: int, strain_prev: float, weight: float, ahead: float, slides: bool) -> None:
     """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play, or by a twisting
     shaft; it may stick, a carriage be at a stop, and a roller without 1/mass keeps its speed.
 
     `weight`, `ahead` (s): of this stage of the Runge-Kutta step. `slides`: compile-time constant, true if no gear has
     play, no roller sticks and no rare force acts, which saves the checks.
     """
-    size, y = places.block(n, k, 1), places.block(n, k, lay.STAGE)
-    v = w[y + n + i]
-    of_mass = w[places.part(n, m, k, lay.PER_MASS) + i] if slides else per_mass(p, w, n, m, k, i, y)
+    n, y, part, axis = line.n, records.block(line, lay.STAGE), records.part(line, i), records.axis(line, i)
+    v = line.w[y + n + i]
+    of_mass = part.per_kg if slides else per_kg(line, i, y)
     if of_mass == 0.0:
-        _go(w, size, i, v, weight, ahead)
-        _go(w, size, n + i, 0.0, weight, ahead)
-        _go(w, size, 2 * n + i, v, weight, ahead)
-        _go(w, size, 3 * n + i, 0.0, weight, ahead)
+        _go(line, i, v, weight, ahead)
+        _go(line, n + i, 0.0, weight, ahead)
+        _go(line, 2 * n + i, v, weight, ahead)
+        _go(line, 3 * n + i, 0.0, weight, ahead)
         return
-    twists = not slides and laws.twists(p, places.axis(i))
-    drive = motor_force_N(p, w, n, m, k, i, w[y + (i if twists else 2 * n + i)], slides)
-    own = own_force_N(p, w, n, m, k, i, y, slides)
-    pull = web_force_N(p, u, w, n, m, k, i, y, strain_prev, slides)
-    apart = not slides and is_apart(p, s, n, k, i)
+    twists = not slides and axis.resonance.inertia_share != 0.0
+    drive = motor_force_N(line, i, line.w[y + (i if twists else 2 * n + i)], slides)
+    own, pull = own_force_N(line, i, y, slides), web_force_N(line, i, y, strain_prev, slides)
+    apart = not slides and is_apart(line, i)
     if apart:
-        of_mass = w[places.part(n, m, k, lay.PER_ROLLER_MASS) + i]
-    if not slides and (sticks(p, s, n, k, i) or is_at_stop(s, n, k, i)):
+        of_mass = part.per_roller_kg
+    if not slides and (sticks(line, i) or is_at_stop(line, i)):
         acceleration = 0.0
     else:
         force, load = own if apart else own + drive, 0.0 if apart else drive
-        acceleration = acceleration_m_s2(p, s, n, k, i, v, of_mass, force, pull, load, slides)
-    other = drive * w[places.part(n, m, k, lay.PER_MOTOR_MASS) + i] if apart else acceleration
+        acceleration = acceleration_m_s2(line, i, v, of_mass, force, pull, load, slides)
+    other = drive * part.per_motor_kg if apart else acceleration
     if twists:
-        other = acceleration_behind_m_s2(p, w, n, i, y)
-    other_speed = w[y + 3 * n + i] if apart or twists else v
-    _go(w, size, i, v, weight, ahead)
-    _go(w, size, n + i, acceleration, weight, ahead)
-    _go(w, size, 2 * n + i, other_speed, weight, ahead)
-    _go(w, size, 3 * n + i, other, weight, ahead)
+        other = acceleration_behind_m_s2(line, i, y)
+    other_speed = line.w[y + 3 * n + i] if apart or twists else v
+    _go(line, i, v, weight, ahead)
+    _go(line, n + i, acceleration, weight, ahead)
+    _go(line, 2 * n + i, other_speed, weight, ahead)
+    _go(line, 3 * n + i, other, weight, ahead)
 
 
 @merged
-def _stage(
-    p: Vector,
-    s: Vector,
-    u: Vector,
-    w: Vector,
-    n: int,
-    m: int,
-    k: int,
-    t: float,
-    weight: float,
-    ahead: float,
-    slides: bool,
-) -> None:
+def _stage(line: LineArrays, t: float, weight: float, ahead: float, slides: bool) -> None:
     """Rates at time t for stage block and torques, and the next stage `ahead` (s) from now.
 
     `weight` of these rates in the step's sum; `slides` as in `_go_axis`.
     """
-    size, y = places.block(n, k, 1), places.block(n, k, lay.STAGE)
-    strain_prev = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
-    web(p, s, u, w, n, m, k, t, strain_prev, y, slides)
+    n, k, entering = line.n, line.k, strain_prev(line, t)
+    web(line, t, entering, records.block(line, lay.STAGE), slides)
     for i in range(n):
-        _go_axis(p, s, u, w, n, m, k, i, strain_prev, weight, ahead, slides)
+        _go_axis(line, i, entering, weight, ahead, slides)
     for j in range(k):
-        _go(w, size, 4 * n + j, w[places.part(n, m, k, lay.RATE) + j], weight, ahead)
-        _go(w, size, 4 * n + k + j, w[places.part(n, m, k, lay.LENGTH_RATE) + j], weight, ahead)
+        part = records.part(line, j)
+        _go(line, 4 * n + j, part.rate_m_s, weight, ahead)
+        _go(line, 4 * n + k + j, part.length_rate_m_s, weight, ahead)
 
 
 @inlined
-def _torques(s: Vector, w: Vector, n: int, m: int, k: int, decay: int) -> None:
-    """Torques after the time of the decays at `decay`, exact for the held commands."""
-    torque = places.part(n, m, k, lay.TORQUE)
-    for j in range(m):
-        at = places.motor_state(n, k, j)
-        w[torque + j] = loops.torque_after(s[at + lay.SM_TORQUE_NM], s[at + lay.SM_COMMAND_NM], w[decay + j])
-
-
-@inlined
-def torques_now(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
-    for j in range(m):
-        w[places.part(n, m, k, lay.TORQUE) + j] = s[places.motor_state(n, k, j) + lay.SM_TORQUE_NM]
+def torques_now(line: LineArrays) -> None:
+    """Update the torques to those of the drives."""
+    for j in range(line.m):
+        records.part(line, j).torque_Nm = records.drive(line, j).torque_Nm
 
 
 @compiled
-def set_decays(p: Vector, w: Vector, h: float) -> None:
+def set_decays(line: LineArrays, h: float) -> None:
     """Decays of the current loops for steps of length h."""
     noinline()
-    n, m, k = places.counts(p)
-    half, full = places.part(n, m, k, lay.DECAY_HALF), places.part(n, m, k, lay.DECAY_FULL)
-    for j in range(m):
-        time_constant = w[places.part(n, m, k, lay.LOOP_CURRENT_S) + j]
-        w[half + j] = loops.current_decay(0.5 * h, time_constant)
-        w[full + j] = loops.current_decay(h, time_constant)
-    w[places.part(n, m, k, lay.DECAY_STEP_S)] = h
+    for j in range(line.m):
+        part = records.part(line, j)
+        part.decay_half = loops.current_decay(0.5 * h, part.current_s)
+        part.decay_full = loops.current_decay(h, part.current_s)
+    records.call(line).decay_step_s = h
 
 
 @merged
-def integrate(
-    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, slides: bool
-) -> None:
+def integrate(line: LineArrays, t: float, h: float, slides: bool) -> None:
     """Classical Runge-Kutta step: quantities at its end in the stage block, torques there; none accepted yet.
 
     So a step with an event in it can be repeated, shorter. `slides` as in `_go_axis`.
     """
-    size = places.block(n, k, 1)
-    if w[places.part(n, m, k, lay.DECAY_STEP_S)] != h:
-        set_decays(p, w, h)
+    w, size = line.w, records.block(line, lay.STAGE)
+    if records.call(line).decay_step_s != h:
+        set_decays(line, h)
     for j in range(size):
-        w[lay.STAGE * size + j] = w[lay.NOW * size + j]
-        w[lay.SUM * size + j] = 0.0
-    torques_now(s, w, n, m, k)
-    _stage(p, s, u, w, n, m, k, t, 1.0, 0.5 * h, slides)
-    _torques(s, w, n, m, k, places.part(n, m, k, lay.DECAY_HALF))
-    _stage(p, s, u, w, n, m, k, t + 0.5 * h, 2.0, 0.5 * h, slides)
-    _stage(p, s, u, w, n, m, k, t + 0.5 * h, 2.0, h, slides)
-    _torques(s, w, n, m, k, places.part(n, m, k, lay.DECAY_FULL))
-    _stage(p, s, u, w, n, m, k, t + h, 1.0, h, slides)
+        w[size + j] = w[j]
+        w[2 * size + j] = 0.0
+    torques_now(line)
+    _stage(line, t, 1.0, 0.5 * h, slides)
+    for j in range(line.m):
+        drive, part = records.drive(line, j), records.part(line, j)
+        part.torque_Nm = loops.torque_after(drive.torque_Nm, drive.command_Nm, part.decay_half)
+    _stage(line, t + 0.5 * h, 2.0, 0.5 * h, slides)
+    _stage(line, t + 0.5 * h, 2.0, h, slides)
+    for j in range(line.m):
+        drive, part = records.drive(line, j), records.part(line, j)
+        part.torque_Nm = loops.torque_after(drive.torque_Nm, drive.command_Nm, part.decay_full)
+    _stage(line, t + h, 1.0, h, slides)
     for j in range(size):
-        w[lay.STAGE * size + j] = w[lay.NOW * size + j] + h / 6.0 * w[lay.SUM * size + j]
+        w[size + j] = w[j] + h / 6.0 * w[2 * size + j]
 
 
 @compiled
-def integrate_plain(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
+def integrate_plain(line: LineArrays, t: float, h: float) -> None:
     """`integrate` for any line in the usual mode that has no roller that sticks."""
     noinline()
-    n, m, k = places.counts(p)
-    integrate(p, s, u, w, n, m, k, t, h, True)
+    integrate(line, t, h, True)
 
 
 @compiled
-def integrate_any(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
+def integrate_any(line: LineArrays, t: float, h: float) -> None:
     """`integrate` for any line in any mode."""
     noinline()
-    n, m, k = places.counts(p)
-    integrate(p, s, u, w, n, m, k, t, h, False)
+    integrate(line, t, h, False)
 
 
 @inlined
-def accept(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
+def accept(line: LineArrays) -> None:
     """Accept the end of the step."""
-    size = places.block(n, k, 1)
+    size = records.block(line, lay.STAGE)
     for j in range(size):
-        w[lay.NOW * size + j] = w[lay.STAGE * size + j]
-    for j in range(m):
-        s[places.motor_state(n, k, j) + lay.SM_TORQUE_NM] = w[places.part(n, m, k, lay.TORQUE) + j]
+        line.w[j] = line.w[size + j]
+    for j in range(line.m):
+        records.drive(line, j).torque_Nm = records.part(line, j).torque_Nm

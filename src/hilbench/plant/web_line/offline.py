@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.sampling import on_all_cores, samples_per
-from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import simulation
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 
@@ -42,8 +42,7 @@ def start_state(parameters: Vector, model: ModelParameters, strain: ArrayLike | 
     carriages = [(spans + 1 + number, each.station.position_m) for number, each in enumerate(model.carriages)]
     for row, x_m in carriages:
         carriage = layout.axis_rows(parameters)[row]
-        first, last = int(carriage[lay.A_FIRST_SPAN]), int(carriage[lay.A_LAST_SPAN])
-        lengths[first : last + 1] += lay.strand_length_m(carriage, x_m)
+        lengths[int(carriage.first_span) : int(carriage.last_span) + 1] += lay.strand_length_m(carriage, x_m)
     state = lay.new_state(parameters, np.asarray(model.upstream_strain if strain is None else strain), lengths)
     for row, x_m in carriages:
         layout.y(state)[[row, 2 * layout.axes + row]] = x_m
@@ -75,17 +74,20 @@ def simulate(
             f"commands {rows.shape}, boundary {np.shape(boundary)}, expected (n, {layout.motors}) and (n, 2)"
         )
     if mode != MotorMode.TORQUE:
-        rows = rows * layout.motor_rows(many[0])[:, lay.M_RAD_PER_M]
+        rows = rows * layout.motor_rows(many[0]).rad_per_m
     states = np.array(np.broadcast_to(np.atleast_2d(state), (len(many), layout.state_size)), order="C")
     inputs = layout.new_inputs()
     layout.length_rates(inputs)[:] = length_rates_m_s
-    layout.motor_inputs(inputs)[:, lay.UM_MODE] = mode
+    layout.motor_inputs(inputs).mode = mode
     samples = samples_per(dt_s, many[0, lay.W_SAMPLE_TIME_S])
     out = np.empty((len(many), len(rows), layout.output_size))
     limits = np.ascontiguousarray(boundary, dtype=np.float64)
 
     def run(share: slice) -> None:
-        kernel.simulate(many[share], states[share], inputs.copy(), layout.new_work(), rows, limits, samples, out[share])
+        simulation.simulate(
+            many[share], states[share], inputs.copy(), layout.new_work(), rows, limits, samples,
+            out[share].reshape(-1), out.shape[2], simulation.NOTHING, simulation.NOTHING,
+        )  # fmt: skip
 
     on_all_cores(run, len(many))
     if np.ndim(parameters) == 1:

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.layout import DRIVE, Layout, Vector, column
+from hilbench.plant.web_line.rig_cycle import SHOWN
 
 
 def read_ports(
@@ -19,25 +20,13 @@ def read_ports(
     for motor, port in zip(motors, ports, strict=False):
         at = lay.U_MOTORS + motor * lay.UM_SIZE
         inputs[at : at + lay.UM_SIZE] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
-    first = _first_motor_state(layout) + lay.SM_LIMITED
-    state[first : first + layout.motors * lay.SM_SIZE : lay.SM_SIZE] = 0.0
+    first = layout.first_drive + column(DRIVE, "limited")
+    state[first : first + layout.motors * lay.DRIVE_SIZE : lay.DRIVE_SIZE] = 0.0
 
 
-def write_ports(
-    layout: Layout, motors: Sequence[int], p: Vector, ports: Sequence[MotorPort], state: Vector, out: Vector
-) -> None:
-    """Feedback from the columns of `kernel.observe` to the ports, exact (without sensors); `motors` as `read_ports`."""
-    count, values = layout.motors, out.tolist()
-    first_row, first_state = lay.W_SIZE + layout.axes * lay.A_SIZE, _first_motor_state(layout)
-    for j, port in zip(motors, ports, strict=False):
-        row, motor_state = first_row + j * lay.M_SIZE, first_state + j * lay.SM_SIZE
-        rad_per_m = p.item(row + lay.M_RAD_PER_M)
-        port.position_rad = values[j] * rad_per_m
-        port.velocity_rad_s = values[count + j] * rad_per_m
-        port.torque_Nm = values[2 * count + j]
-        port.reference = state.item(motor_state + lay.SM_REFERENCE)
-        port.torque_limited = state.item(motor_state + lay.SM_LIMITED) != 0.0
-
-
-def _first_motor_state(layout: Layout) -> int:
-    return lay.S_Y + layout.y_size + layout.axes * lay.SA_SIZE
+def write_ports(ports: Sequence[MotorPort], shown: Sequence[float]) -> None:
+    """Write feedback to the ports, as of `rig_cycle.show`."""
+    for at, port in enumerate(ports):
+        of_port = shown[SHOWN * at : SHOWN * (at + 1)]
+        port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference = of_port[:-1]
+        port.torque_limited = of_port[-1] != 0.0

@@ -8,32 +8,23 @@ J'·omega.
 
 from __future__ import annotations
 
-from hilbench.compiled import inlined
-from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Vector
+from hilbench.compiled import Record, inlined
 
 
 @inlined
-def is_reel(p: Vector, axis: int) -> bool:
-    """True if the roller whose row begins at `axis` is a reel."""
-    return p[axis + lay.A_REEL_SLOPE_PER_M] != 0.0
+def radius_ratio(axis: Record, x_m: float) -> float:
+    """Radius over that at the start, at x, of a reel not below that of the core; 1 of another roller."""
+    return max(1.0 + axis.radius_share + axis.reel_slope_per_m * x_m, axis.core_ratio)
 
 
 @inlined
-def radius_ratio(p: Vector, axis: int, x_m: float) -> float:
-    """Radius over that at the start, at x; not below that of the core."""
-    return max(1.0 + p[axis + lay.A_RADIUS_SHARE] + p[axis + lay.A_REEL_SLOPE_PER_M] * x_m, p[axis + lay.A_CORE_RATIO])
+def web_travel_m(axis: Record, x_m: float) -> float:
+    """Travel of the web since the start, m, of a roller at x: of a reel the integral of its radius ratio."""
+    return x_m * (1.0 + axis.radius_share + 0.5 * axis.reel_slope_per_m * x_m) if axis.reel_slope_per_m != 0.0 else x_m
 
 
 @inlined
-def web_travel_m(p: Vector, axis: int, x_m: float) -> float:
-    """Travel of the web since the start, m, of a reel at x: the integral of its radius ratio."""
-    return x_m * (1.0 + p[axis + lay.A_RADIUS_SHARE] + 0.5 * p[axis + lay.A_REEL_SLOPE_PER_M] * x_m)
-
-
-@inlined
-def mass_kg(p: Vector, axis: int, x_m: float) -> float:
+def mass_kg(axis: Record, x_m: float) -> float:
     """J/r0² of the reel with its web: pi/2·density·width·(r⁴ - r_core⁴) in addition to its own and the motor's."""
-    ratio, core = radius_ratio(p, axis, x_m), p[axis + lay.A_CORE_RATIO]
-    own = p[axis + lay.A_MOTOR_MASS_KG] + p[axis + lay.A_ROLLER_MASS_KG]
-    return own + p[axis + lay.A_WOUND_KG] * (ratio**4 - core**4)
+    ratio = radius_ratio(axis, x_m)
+    return axis.motor_mass_kg + axis.roller_mass_kg + axis.wound_kg * (ratio**4 - axis.core_ratio**4)

@@ -128,22 +128,16 @@ def pack_rig(rig: RigParameters, substeps: int = 1) -> Vector:
     `substeps`: integration steps per sample time of the drives.
     """
     layout = Layout(rig.axes, rig.axes + len(rig.load_motors), 0)
-    p = np.zeros(layout.parameter_size)
-    p[[lay.W_AXES, lay.W_MOTORS, lay.W_SPANS]] = layout.axes, layout.motors, layout.spans
-    p[lay.W_SAMPLE_TIME_S] = rig.drives.sample_time_s
-    p[lay.W_SUBSTEPS] = substeps
-    lay.clear_effects(p)
+    p = lay.new_parameters(layout, rig.drives.sample_time_s, substeps, KIND)
     for axis in range(1, rig.axes + 1):
         ratio = _rad_per_m(rig, axis)
         turned = per_item(rig.flywheel_inertia_kg_m2, axis) + rig.rotors_kg_m2(axis)
-        row = layout.axis_rows(p)[axis - 1]
-        row[lay.A_AXIS] = axis
-        row[lay.A_RADIUS_M] = row[lay.A_M_PER_TURNED_RAD] = per_item(rig.radius_m, axis)
-        row[lay.A_MOTOR_MASS_KG] = per_item(rig.motor_inertia_kg_m2, axis) * ratio**2
-        row[lay.A_ROLLER_MASS_KG] = turned * ratio**2
-        motor = layout.motor_rows(p)[axis - 1]
-        motor[lay.M_RAD_PER_M] = ratio
-        motor[lay.M_AXIS] = axis - 1
+        row, motor = layout.axis_rows(p)[axis - 1], layout.motor_rows(p)[axis - 1]
+        row.number, row.radius_m = axis, per_item(rig.radius_m, axis)
+        row.m_per_turned_rad = row.radius_m
+        row.motor_mass_kg = per_item(rig.motor_inertia_kg_m2, axis) * ratio**2
+        row.roller_mass_kg = turned * ratio**2
+        motor.rad_per_m, motor.axis = ratio, axis - 1
         lay.write_drive(motor, rig.drives, axis)
     for row, coupled in zip(layout.motor_rows(p)[rig.axes :], rig.load_motors, strict=True):
         lay.write_load_motor(row, coupled.motor, coupled.axis, _rad_per_m(rig, coupled.axis))

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, INDICES, TABLE, VECTOR, compiled, entry_point, floats, integers
+from hilbench.compiled import COUNT, TABLE, Reals, Reals2, Wholes, arrays_in, compiled, entry_point
 from hilbench.cycle_program import CONTINUE
-from hilbench.plant.sensor_rows import take_row
-from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.kernel import advance, observe
+from hilbench.plant.sensor_rows import ALWAYS_FIRST
+from hilbench.plant.web_line import kernel, records
 from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.line_vectors import LineVectors, arrays
 
 Table = NDArray[np.int64]
 #: Feedback of a motor, in the order of `hilbench.plant.motor_port.MotorPort`: position, velocity, torque, reference,
@@ -18,68 +20,76 @@ Table = NDArray[np.int64]
 SHOWN = 5
 #: Of each motor: standard deviations of position, velocity and torque, and the encoder's increment.
 SENSOR = 4
-#: Result of `step_by` when the normal numbers have to be drawn anew, and nothing was done.
+#: Result of `step_noisy` when the normal numbers have to be drawn anew, and nothing was done.
 DRAW = 1
 
 
+class RigArrays(NamedTuple):
+    """A line and what its motors get and show: rows of the motors with ports (M,), their set points (M,), figures of
+    their sensors (M · SENSOR,), their feedback (M · SHOWN,)."""
+
+    line: LineVectors
+    motors: Wholes
+    asked: Reals
+    sensors: Reals
+    shown: Reals
+
+
+class NoisyRig(NamedTuple):
+    """Rig with the normal numbers of its sensors, and the row of the next step."""
+
+    rig: RigArrays
+    numbers: Reals2
+    next_row: Wholes
+
+
 @compiled
-def show(
-    p: Vector, s: Vector, out: Vector, motors: NDArray[np.int64], sensors: Vector, noise: Vector, shown: Vector
-) -> None:
-    """Write the motors' feedback from the observed values into `shown`; arguments as of `step`."""
-    axes, count, spans = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
-    rows = lay.W_SIZE + axes * lay.A_SIZE
-    states = lay.S_Y + 4 * axes + 2 * spans + axes * lay.SA_SIZE
-    for k in range(len(motors)):
-        j, at, of = motors[k], k * SHOWN, k * SENSOR
-        rad_per_m, state = p[rows + j * lay.M_SIZE + lay.M_RAD_PER_M], states + j * lay.SM_SIZE
+def show(rig: RigArrays, noise: Vector) -> None:
+    """Write the motors' feedback from the observed values, with normal numbers (3 · M,)."""
+    line, out, sensors, shown = arrays(rig.line), rig.line.out, rig.sensors, rig.shown
+    for k in range(len(rig.motors)):
+        j, at, of, count = rig.motors[k], k * SHOWN, k * SENSOR, line.m
+        rad_per_m, drive = records.motor(line, j).rad_per_m, records.drive(line, j)
         position = out[j] * rad_per_m + sensors[of] * noise[3 * k]
         counts = sensors[of + 3]
         # A count is a whole number, which has no -0.0.
         shown[at] = (np.rint(position / counts) + 0.0) * counts if counts > 0.0 else position
         shown[at + 1] = out[count + j] * rad_per_m + sensors[of + 1] * noise[3 * k + 1]
         shown[at + 2] = out[2 * count + j] + sensors[of + 2] * noise[3 * k + 2]
-        shown[at + 3] = s[state + lay.SM_REFERENCE]
-        shown[at + 4] = s[state + lay.SM_LIMITED] != 0.0
+        shown[at + 3] = drive.reference
+        shown[at + 4] = drive.limited != 0.0
 
 
-#: step(parameters, state, inputs, work, out, motors (M,), set points (M,), samples, sensors (M · SENSOR,), normal
-#: numbers (3 · M,), shown (M · SHOWN,)): `read_ports`, `kernel.advance`, `kernel.observe`, `write_ports` and `Sensors`.
-@entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, INDICES, VECTOR, COUNT, VECTOR, VECTOR, VECTOR)
-def step(
-    p: Vector,
-    s: Vector,
-    u: Vector,
-    work: Vector,
-    out: Vector,
-    motors: NDArray[np.int64],
-    set_points: Vector,
-    samples: int,
-    sensors: Vector,
-    noise: Vector,
-    shown: Vector,
-) -> None:
-    axes, count, spans = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
-    states = lay.S_Y + 4 * axes + 2 * spans + axes * lay.SA_SIZE
-    for k in range(len(motors)):
-        u[lay.U_MOTORS + motors[k] * lay.UM_SIZE + lay.UM_SETPOINT] = set_points[k]
-    for j in range(count):
-        s[states + j * lay.SM_SIZE + lay.SM_LIMITED] = 0.0
-    advance(p, s, u, work, samples)
-    observe(p, s, u, work, out)
-    show(p, s, out, motors, sensors, noise, shown)
+@compiled
+def step(rig: RigArrays, samples: int, noise: Vector) -> None:
+    """Step the motors in their modes, with their set points."""
+    line = arrays(rig.line)
+    for k in range(len(rig.motors)):
+        records.given(line, rig.motors[k]).setpoint = rig.asked[k]
+    for j in range(line.m):
+        records.drive(line, j).limited = 0.0
+    kernel.advance(line.p, line.s, line.u, line.w, samples)
+    kernel.observe(*rig.line)
+    show(rig, noise)
 
 
-#: step_by(samples, table of the vectors in this order but for the numbers, which are the last two, as of
-#: `sensor_rows.take_row`): `step`.
-@entry_point(COUNT, TABLE)
-def step_by(samples: int, table: Table) -> int:
-    numbers = floats(table, 9, (1, 2))
-    row = take_row(numbers, integers(table, 10, (1,)))
-    if row < 0:
-        return DRAW
-    p, s, u = floats(table, 0, (1,)), floats(table, 1, (1,)), floats(table, 2, (1,))
-    work, out, motors = floats(table, 3, (1,)), floats(table, 4, (1,)), integers(table, 5, (1,))
-    set_points, sensors, shown = floats(table, 6, (1,)), floats(table, 7, (1,)), floats(table, 8, (1,))
-    step(p, s, u, work, out, motors, set_points, samples, sensors, numbers[row], shown)
+@compiled
+def step_noisy(noisy: NoisyRig, samples: int) -> int:
+    """`step` with the next numbers; without samples only `show`."""
+    row, following = 0, noisy.next_row
+    if following[0] != ALWAYS_FIRST:
+        row = following[0]
+        if row == len(noisy.numbers):
+            return DRAW
+        following[0] += 1
+    if samples > 0:
+        step(noisy.rig, samples, noisy.numbers[row])
+    else:
+        show(noisy.rig, noisy.numbers[row])
     return CONTINUE
+
+
+#: step_by(samples, table of a `NoisyRig`).
+@entry_point(COUNT, TABLE, allocates=False)
+def step_by(samples: int, table: Table) -> int:
+    return step_noisy(arrays_in(table, NoisyRig), samples)

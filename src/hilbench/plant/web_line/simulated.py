@@ -23,7 +23,7 @@ from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quanti
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.sampling import locked_sample_time_s, samples_per
 from hilbench.plant.sensor_rows import chained_with_noise, silence
-from hilbench.plant.sensors import SensorNoise, SensorParameters, Sensors, show
+from hilbench.plant.sensors import SensorNoise, SensorParameters
 from hilbench.plant.web_line import kernel, rig_cycle
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
@@ -113,7 +113,7 @@ def modulus_names(spans: int) -> tuple[Quantity, ...]:
 
 def moduli_by_name(p: Vector) -> dict[str, Vector]:
     """E in a parameter vector (P,), by the names of `modulus_names`: views of all spans (K,) or of one (1,)."""
-    moduli: Vector = Layout.of(p).span_rows(p)[:, lay.SP_MODULUS_PA]
+    moduli: Vector = Layout.of(p).matrices(p)["span"][:, lay.column(lay.SPAN, "modulus_Pa")]
     views = (moduli, *(moduli[k : k + 1] for k in range(len(moduli))))
     return {quantity.name: view for quantity, view in zip(modulus_names(len(moduli)), views, strict=False)}
 
@@ -194,7 +194,6 @@ class SimulatedLine:
         self._sample_time_s = p.item(lay.W_SAMPLE_TIME_S)
         self._layout = layout = Layout.of(p)
         self._ports = tuple(ports)
-        self._sensors = [Sensors(each) for each in sensors]
         self._noise = SensorNoise(np.random.SeedSequence(seed).spawn(len(sensors))) if sensors else None
         self._inputs, self._work = layout.new_inputs(), layout.new_work()
         self._out = np.zeros(layout.output_size)
@@ -207,20 +206,19 @@ class SimulatedLine:
         rows = layout.motor_rows(p)
         shown = [rows[motor] for motor in self._motors]
         self._places_of_motors = np.array(self._motors, np.int64)
-        figures = [each.figures for each in self._sensors] or np.zeros((len(shown), rig_cycle.SENSOR))
+        figures = [each.figures for each in sensors] or np.zeros((len(shown), rig_cycle.SENSOR))
         self._figures = np.array(figures, dtype=float).reshape(-1)
         self._silence, self._always = silence(len(shown))
+        self._shown = np.zeros(rig_cycle.SHOWN * len(shown))
+        self._show = self._stage(0, self._shown, self._shown)
         axis_of = {row: number for number, row in enumerate(self._driven, 1)}
-        self._per_m = [1.0 if unit == "m" else float(rows[row, lay.M_RAD_PER_M]) for row in self._driven]
+        self._per_m = [1.0 if unit == "m" else float(rows[row].rad_per_m) for row in self._driven]
         axes, spans = axis_names(n, unit), span_names(k)
         description = PlantDescription(
             kind=self.kind,
             position_unit=unit,
             axes=n,
-            motors=tuple(
-                Motor(axis_of[int(row[lay.M_AXIS])], float(row[lay.M_RAD_PER_M]) if unit == "m" else 1.0)
-                for row in shown
-            ),
+            motors=tuple(Motor(axis_of[int(row.axis)], float(row.rad_per_m) if unit == "m" else 1.0) for row in shown),
             states=(
                 *axes,
                 *torque_names(n, len(shown), "as it acts"),
@@ -306,10 +304,14 @@ class SimulatedLine:
 
         The ports are not updated; the caller keeps the vectors. Raises ValueError as `step`.
         """
-        step, noise = self.step_in_vectors(duration_s), self._noise
+        step = self.step_in_vectors(duration_s)
+        return self._stage(step.samples, set_points, shown)
+
+    def _stage(self, samples: int, set_points: Vector, shown: Vector) -> CompiledStage:
+        noise = self._noise
         numbers = (self._silence, self._always) if noise is None else (noise.rows, noise.next)
-        vectors = *self.vectors, step.motors, set_points, step.sensors, shown, *numbers
-        return chained_with_noise(rig_cycle.step_by, step.samples, vectors, noise)
+        rig = rig_cycle.RigArrays(self.vectors, self._places_of_motors, set_points, self._figures, shown)
+        return chained_with_noise(rig_cycle.step_by, samples, rig_cycle.NoisyRig(rig, *numbers), noise)
 
     def _observe(self) -> None:
         """Update `_out` to the state, and the ports' feedback."""
@@ -318,12 +320,12 @@ class SimulatedLine:
 
     def show(self) -> None:
         """Write the outputs `out` of changed vectors to the ports."""
-        write_ports(self._layout, self._motors, self._p, self._ports, self._state, self._out)
-        if self._noise is not None:
-            show(self._ports, self._sensors, self._noise)
+        if self._ports:
+            self._show()
+            write_ports(self._ports, self._shown.tolist())
 
     def _refresh(self) -> None:
-        kernel.observe(self._p, self._state, self._inputs, self._work, self._out)
+        kernel.observe(*self.vectors)
 
     def outputs(self) -> dict[str, float]:
         """Present outputs, with the present parameters."""
@@ -339,7 +341,7 @@ class SimulatedLine:
         self._refresh()
         columns, n, rows = self._layout.columns, self._layout.axes, list(self._driven)
         y = self._layout.y(self._state)
-        torques = self._layout.motor_states(self._state)[list(self._motors), lay.SM_TORQUE_NM]
+        torques = self._layout.motor_states(self._state).torque_Nm[list(self._motors)]
         values = [*(y[rows] * self._per_m), *(y[n:][rows] * self._per_m), *torques, *self._out[columns["strain"]]]
         values += [y[each.place] for each in self._further]
         feedback = tuple(
@@ -368,11 +370,12 @@ class SimulatedLine:
         for port, shown in zip(self._ports, memory.feedback, strict=True):
             port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited = shown
         self._noise = deepcopy(memory.noise)
+        self._show = self._stage(0, self._shown, self._shown)
 
     def _transfer(self, values: Mapping[str, float]) -> None:
         n, k, state = self._layout.axes, self._layout.spans, self._state
         driven, motors = len(self._driven), len(self._motors)
-        first_torque = lay.S_Y + self._layout.y_size + n * lay.SA_SIZE + lay.SM_TORQUE_NM
+        drives = self._layout.motor_states(state)
         for name in values:
             if name not in self._places:
                 checked_name("state", name, self._description.states)
@@ -384,13 +387,12 @@ class SimulatedLine:
                 state[at] = value / self._per_m[place % driven]
                 state[at + 2 * n] = state.item(at) + apart
             elif place < 2 * driven + motors:
-                torque = first_torque + self._motors[place - 2 * driven] * lay.SM_SIZE
-                state[torque] = value
-                state[torque - lay.SM_TORQUE_NM + lay.SM_MODE] = OFF
+                drive = drives[self._motors[place - 2 * driven]]
+                drive.torque_Nm, drive.mode = value, OFF
             elif place < 2 * driven + motors + k:
                 span = place - 2 * driven - motors
                 material = lay.S_Y + 4 * n + span
-                length = state.item(material + k) * lay.length_factor(self._p, self._layout, span + 1)
+                length = state.item(material + k) * lay.factor_on_length(self._p, self._layout, span + 1)
                 state[material] = length / (1.0 + value)
             else:
                 self._set_further(self._further[place - 2 * driven - motors - k], value)
@@ -408,7 +410,7 @@ class SimulatedLine:
         if state.place < n and state.place > k:
             row = self._layout.axis_rows(self._p)[state.place]
             grows_m = lay.strand_length_m(row, value) - lay.strand_length_m(row, vector.item(at))
-            for span in range(int(row[lay.A_FIRST_SPAN]), int(row[lay.A_LAST_SPAN]) + 1):
+            for span in range(int(row.first_span), int(row.last_span) + 1):
                 length = lay.S_Y + 4 * n + k + span
                 vector[length - k] *= 1.0 + grows_m / vector.item(length)
                 vector[length] += grows_m
@@ -422,12 +424,12 @@ class SimulatedLine:
         """Set an input from now on. Raises ValueError for an unknown name."""
         checked_name("input", name, self._description.inputs)
         if name == "strain_prev":
-            self._inputs[lay.U_STRAIN_PREV] = value
+            self._inputs[0] = value
         elif name == "F_next_N":
-            self._inputs[lay.U_F_NEXT_N] = value
+            self._inputs[1] = value
         elif name in self._forces:
             push = self._forces[name]
-            self._layout.axis_rows(self._p)[push.row, lay.A_FORCE_N] = value + push.more_N
+            self._layout.axis_rows(self._p)[push.row].force_N = value + push.more_N
         else:
             span = [quantity.name for quantity in self._description.inputs].index(name) - 2
             self._layout.length_rates(self._inputs)[span] = value
@@ -456,14 +458,13 @@ class SimulatedLine:
     def _set_inertia(self, name: str, value: float, axis: int, roller_mass_kg: float) -> None:
         """Set another mass on the roller's side of the gear of an axis (from 1). Raises ValueError."""
         row = self._layout.axis_rows(self._p)[self._driven[axis - 1]]
-        if not 0.0 <= value < np.inf or row[lay.A_MOTOR_MASS_KG] + roller_mass_kg <= 0.0:
+        if not 0.0 <= value < np.inf or row.motor_mass_kg + roller_mass_kg <= 0.0:
             raise ValueError(f"{name} = {value!r} kg·m², expected 0 or more, and inertia of roller or motor above 0")
-        before = row[lay.A_ROLLER_MASS_KG]
-        row[lay.A_ROLLER_MASS_KG] = roller_mass_kg
+        before, row.roller_mass_kg = row.roller_mass_kg, roller_mass_kg
         try:
             lay.check_effects(self._p)
         except ValueError:
-            row[lay.A_ROLLER_MASS_KG] = before
+            row.roller_mass_kg = before
             raise
         self._parameters[name] = float(value)
 

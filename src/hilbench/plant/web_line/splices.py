@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, entry_point
+from hilbench.compiled import REAL, VECTOR, entry_point, record_at, record_in
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import splice_laws
-from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.layout import WEB_PIECES, Vector
 
 
 class Piece(NamedTuple):
@@ -35,18 +35,18 @@ WHOLE = SplicedSpan(1.0, 1.0)
 
 @entry_point(VECTOR, REAL, REAL, VECTOR, VECTOR)
 def _put_factors(s: Vector, x_m: float, stretch: float, unstretched_m: Vector, out: Vector) -> None:
-    """Factor and factor at the end of each span into `out` (2·K,). s: pieces alone; x_m: travel of the web at roller 1,
+    """Factor and factor at the end of each span into `out` (2·K,). s: `WEB_PIECES`; x_m: travel of the web at roller 1,
     m; stretch: 1 + strain of the entering web; unstretched_m (K,): web in the spans."""
-    begin = 0.0
+    begin, pieces = 0.0, record_in(s, 0, WEB_PIECES)
     for k in range(len(unstretched_m)):
-        out[2 * k] = splice_laws.series_factor(s, 0, x_m, begin, unstretched_m[k], stretch)
+        out[2 * k] = splice_laws.series_factor(pieces, x_m, begin, unstretched_m[k], stretch)
         begin += unstretched_m[k]
-        out[2 * k + 1] = 1.0 + splice_laws.change_at(s, 0, x_m, begin, stretch, lay.LEAST_BLUR_M)
+        out[2 * k + 1] = 1.0 + splice_laws.change_at(pieces, x_m, begin, stretch, lay.LEAST_BLUR_M)
 
 
 def has_pieces(state: Vector) -> bool:
     """True if the `state` of a line or follower has pieces."""
-    return state.item(len(state) - lay.PIECES_SIZE + lay.PIECES_COUNT) > 0.0
+    return state.item(len(state) - lay.PIECES_SIZE + 1) > 0.0
 
 
 def spliced_spans(state: Vector, x_m: float, stretch: float, unstretched_m: Sequence[float]) -> list[SplicedSpan]:
@@ -59,11 +59,7 @@ def spliced_spans(state: Vector, x_m: float, stretch: float, unstretched_m: Sequ
 def put_pieces(state: Vector, pieces: Sequence[Piece]) -> None:
     """Set the pieces in a line or follower, in the order in which they came in; the last ones if they exceed the
     capacity."""
-    kept = pieces[-lay.PIECES :]
-    of_state = state[-lay.PIECES_SIZE :]
-    of_state[lay.PIECES_COUNT] = len(kept)
+    kept, of_state = pieces[-lay.PIECES :], record_at(state[-lay.PIECES_SIZE :], WEB_PIECES)
+    of_state.count = len(kept)
     for number, piece in enumerate(kept):
-        at = lay.PIECES_FIRST + number * lay.PIECE_SIZE
-        of_state[at + lay.PIECE_FRONT_M] = piece.front_m
-        of_state[at + lay.PIECE_LENGTH_M] = piece.length_m
-        of_state[at + lay.PIECE_CHANGE] = piece.relative_change
+        of_state.ring[number] = piece

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.compiled import table_of
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import per_item
 from hilbench.plant.sampled_shaft import emulation_delay_s
@@ -102,7 +103,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         self._steepest = steepest_Nm_s_per_rad(self._real, emulation_delay_s(sampled_shaft(real, cycle_s)))
         self._layout = Layout.of(self._p)
         self._inputs = self._layout.new_inputs()
-        self._layout.motor_inputs(self._inputs)[:, line.UM_MODE] = MotorMode.VELOCITY
+        self._layout.motor_inputs(self._inputs).mode = MotorMode.VELOCITY
 
     def prepare(
         self, present: ShaftPresent, courses_at: CoursesAt, offsets: Offsets, *key: int
@@ -116,12 +117,13 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         start = self._start(p, present, z[:, 3])
         tally = Tally.of(self.watched, offsets, z[:, 4:], step_s, len(courses))
 
+        layout, figures = self._layout, np.array([self._steepest, step_s / self._cycle_s, tally.every])
+        room = self._inputs.copy(), layout.new_work(), np.zeros(layout.output_size), np.zeros(self.quantities)
+        given = p, self._real, start, shaft, courses
+        of = kernel.ShaftFuture(*given, lay.new_state(p), *room, tally.vectors, figures)
+
         def run() -> None:
-            kernel.run_futures(
-                p, self._real, self._steepest, start, shaft, courses, lay.new_state(p), self._inputs.copy(),
-                self._layout.new_work(), np.zeros(self._layout.output_size), np.zeros(self.quantities),
-                tally.table, step_s / self._cycle_s, tally.every,
-            )  # fmt: skip
+            kernel.run_futures(0, table_of(of))
 
         return run, lambda: tally.outlook(present.now_s)
 
@@ -177,12 +179,12 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         """States (B, S): the shaft at its speed in the drive's loop; z (B,): draws of the speed."""
         state = lay.new_state(p, present.position_rad)
         state[line.S_COUNT] = round(present.now_s / p[lay.P_SAMPLE_TIME_S])  # effects follow the experiment's time
-        past = lay.S_MOTORS + line.SM_SIZE
+        past = self._layout.first_drive + line.DRIVE_SIZE
         state[past : past + line.RING] = present.torque_Nm
         (motor,) = self._layout.motor_states(state)
-        motor[line.SM_MODE], motor[line.SM_REFERENCE] = MotorMode.VELOCITY, present.command_rad_s
-        motor[line.SM_TORQUE_NM] = motor[line.SM_COMMAND_NM] = present.torque_Nm
-        motor[line.SM_INTEGRAL_NM] = present.torque_Nm - self._kp * present.error_rad_s
+        motor.mode, motor.reference = MotorMode.VELOCITY, present.command_rad_s
+        motor.torque_Nm = motor.command_Nm = present.torque_Nm
+        motor.integral_Nm = present.torque_Nm - self._kp * present.error_rad_s
         states = np.tile(state, (self._futures, 1))
         at_standstill = abs(present.speed_rad_s) <= _STANDSTILL * present.speed_sd_rad_s
         speeds = present.speed_rad_s + present.speed_sd_rad_s * z

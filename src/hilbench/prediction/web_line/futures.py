@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import interpreted, record_at, table_of
+from hilbench.control.web_line.feed_forward import ROLLER
 from hilbench.control.web_line.strain_trajectory import TRAJECTORY
 from hilbench.control.web_line.swing_damping import DAMPING
 from hilbench.control.web_line.tension import CONTROLLER, gains_at
@@ -98,9 +99,11 @@ class LineControl:
                     rows[span - 1, : len(vector)] = vector
 
     @property
-    def table(self) -> NDArray[np.int64]:
-        """Table of `kernel.run_futures`."""
-        return table_of([self.tensions.reshape(-1), self.dampings, self.trajectories.reshape(-1), self.rollers])
+    def arrays(self) -> kernel.LineControl:
+        """Arrays of `kernel.run_futures`."""
+        rows = (self.tensions, CONTROLLER), (self.trajectories, TRAJECTORY), (self.rollers, ROLLER)
+        tensions, trajectories, rollers = (vector.reshape(-1).view(kind) for vector, kind in rows)
+        return kernel.LineControl(tensions, self.dampings, trajectories, rollers)
 
 
 def step_s(model: ModelParameters, horizon_s: float) -> float:
@@ -149,14 +152,14 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         self._p[lay.W_SAMPLE_TIME_S] = self.step_s
         self._layout = lay.Layout.of(self._p)
         rows = self._layout.span_rows(self._p)
-        self._moduli = rows[:, lay.SP_MODULUS_PA] / model.youngs_modulus_Pa(span)
-        self._sections_m2 = rows[:, lay.SP_SECTION_M2].copy()
+        self._moduli = rows.modulus_Pa / model.youngs_modulus_Pa(span)
+        self._sections_m2 = rows.section_m2.copy()
         self._load_axes = np.array([axis - 1 for axis in load_axes], np.int64)
         self._samples = self.step_s / cycle_s
         self._found = _found_after(self.step_s, self.steps, cycle_s, model)
         self._work, self._state = self._layout.new_work(), np.zeros(self._layout.state_size)
         self._inputs = self._layout.new_inputs()
-        self._layout.motor_inputs(self._inputs)[:, lay.UM_MODE] = MotorMode.VELOCITY
+        self._layout.motor_inputs(self._inputs).mode = MotorMode.VELOCITY
 
     def times_s(self, now_s: float) -> Array:
         """Start times of the T steps."""
@@ -177,17 +180,21 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         control = self._controllers(present)
         tally = Tally.of(self.watched, offsets, z[:, 1 + n :], self.step_s, self.steps)
         u = self._inputs.copy()
-        u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = present.upstream_strain, present.downstream_tension_N
+        u[0], u[1] = present.upstream_strain, present.downstream_tension_N
+
+        figures = np.array([present.line_speed_before_m_s, self._samples, tally.every])
+        lead, set_point, factor = (
+            np.ascontiguousarray(course)
+            for course in (courses.line_speed_m_s, courses.set_points_N, courses.modulus_factor)
+        )
+        look = kernel.Look(
+            self._p.copy(), self._state, u, self._work, start, scale, self._control.arrays, control,
+            self._control.vector, np.zeros(q), moduli, lead, set_point, factor, known, np.ascontiguousarray(stated_Pa),
+            np.zeros(n), self._load_axes, tally.vectors, figures,
+        )  # fmt: skip
 
         def run() -> None:
-            kernel.run_futures(
-                self._p.copy(), start, moduli, scale, self._state, u, self._work,
-                control, self._control.vector, self._control.table, np.zeros(q),
-                np.ascontiguousarray(courses.line_speed_m_s), np.ascontiguousarray(courses.set_points_N),
-                np.ascontiguousarray(courses.modulus_factor), known, stated_Pa,
-                present.line_speed_before_m_s, np.zeros(n), self._load_axes,
-                tally.table, self._samples, tally.every,
-            )  # fmt: skip
+            kernel.run_futures(0, table_of(look))
 
         return run, lambda: tally.outlook(present.now_s)
 
@@ -221,12 +228,10 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         state = start_state(self._p, self._model, strain)
         state[lay.S_COUNT] = round(present.now_s / self.step_s)  # effects follow the experiment's time
         rows, motors = layout.motor_rows(self._p), layout.motor_states(state)
-        ratio = rows[:, lay.M_RAD_PER_M]
-        motors[:, lay.SM_MODE] = MotorMode.VELOCITY
-        motors[:, lay.SM_REFERENCE] = present.commands_m_s * ratio
-        motors[:, lay.SM_TORQUE_NM] = motors[:, lay.SM_COMMAND_NM] = present.torques_Nm
-        error = (present.commands_before_m_s - present.speeds_m_s) * ratio
-        motors[:, lay.SM_INTEGRAL_NM] = present.torques_Nm - rows[:, lay.M_KP] * error
+        motors.mode, motors.reference = MotorMode.VELOCITY, present.commands_m_s * rows.rad_per_m
+        motors.torque_Nm = motors.command_Nm = present.torques_Nm
+        error = (present.commands_before_m_s - present.speeds_m_s) * rows.rad_per_m
+        motors.integral_Nm = present.torques_Nm - rows.kp * error
         state[lay.S_Y + n : lay.S_Y + 2 * n] = present.speeds_m_s
         lay.refresh_modes(self._p, state)
         states = np.tile(state, (self._futures, 1))
@@ -245,7 +250,7 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         error_N[ahead] = 0.0
         wanted = present.tensions_N / (present.modulus_Pa * self._sections_m2)
         entering = np.concatenate(([present.upstream_strain], strains[:-1]))
-        entering_back = interpreted(laws.downstream_strain)(self._p, present.downstream_tension_N)
+        entering_back = interpreted(laws.downstream_strain)(record_at(self._p, lay.WEB), present.downstream_tension_N)
         behind = np.append(strains[1:], entering_back)
         ratios = np.where(around >= 0.0, (1.0 + entering) / (1.0 + wanted), (1.0 + wanted) / (1.0 + behind))
         around[ahead] *= ratios[ahead]

@@ -12,34 +12,35 @@ speeds of the axes at the web (m/s).
 from __future__ import annotations
 
 from math import nan
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import (
     COUNT,
-    INDICES,
-    MATRIX,
-    REAL,
     TABLE,
-    VECTOR,
+    Reals,
+    Reals2,
+    Wholes,
+    arrays_in,
     compiled,
     entry_point,
-    floats,
     inlined,
     merged,
     noinline,
+    record_type,
     viewed,
 )
+from hilbench.compiled import records as array_of
 from hilbench.control.web_line.feed_forward import ROLLER, plan_leads
 from hilbench.control.web_line.strain_trajectory import TRAJECTORY, advance, velocity_before
 from hilbench.control.web_line.swing_damping import DAMPING, damp, follow_modulus
 from hilbench.control.web_line.tension import CONTROLLER, control
-from hilbench.plant.web_line import kernel, laws, places
-from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line import kernel, laws, records
 from hilbench.plant.web_line.layout import Vector
-from hilbench.prediction.judging import TallyVectors, keep, of_table, see
+from hilbench.plant.web_line.records import LineArrays
+from hilbench.prediction.judging import TallyVectors, keep, see
 
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -48,117 +49,109 @@ Indices = NDArray[np.int64]
 class LineControl(NamedTuple):
     """Controllers of a line, as of `hilbench.control.web_line`, zero where there is none."""
 
-    tensions: Any  #: (K,) `CONTROLLER`
-    dampings: Matrix  #: (K, …): a `DAMPING` each, and the pairs behind it
-    trajectories: Any  #: (K,) `TRAJECTORY`
-    rollers: Any  #: (N,) `ROLLER`
+    tensions: Annotated[Any, array_of(CONTROLLER)]  #: (K,)
+    dampings: Reals2  #: (K, …): a `DAMPING` each, and the pairs behind it
+    trajectories: Annotated[Any, array_of(TRAJECTORY)]  #: (K,)
+    rollers: Annotated[Any, array_of(ROLLER)]  #: (N,)
 
 
-@merged
-def _control_of(table: Indices) -> LineControl:
-    return LineControl(
-        viewed(floats(table, 0, (1,)), CONTROLLER),
-        floats(table, 1, (1, 2)),
-        viewed(floats(table, 2, (1,)), TRAJECTORY),
-        viewed(floats(table, 3, (1,)), ROLLER),
-    )
+#: Line speed until now, m/s; measurements in a step, steps in a row.
+FIGURES: Final = record_type("before_m_s", "samples", "every")
 
 
 class Look(NamedTuple):
-    """Vectors and figures that all futures of a prediction share; p, s, u, w: of the plant's kernel."""
+    """Vectors and figures of a prediction; p, u, w: of the plant's kernel, s: room for a state."""
 
-    p: Vector
-    s: Vector
-    u: Vector
-    w: Vector
+    p: Reals
+    s: Reals
+    u: Reals
+    w: Reals
+    start: Reals2  #: (B, S)
+    scale: Reals  #: (B,): of E
     control: LineControl
-    q: Vector  #: (Q,): present quantities
-    moduli: Vector  #: (K,): E of the spans by the twin, Pa
-    lead: Vector  #: (T,): line speed, m/s
-    set_point: Matrix  #: (T, K)
-    factor: Matrix  #: (T, K): of E
-    known: Matrix  #: (T, K): E·S by the twin, N
-    stated_Pa: Vector  #: (T,): E that the controllers use
-    before: float  #: line speed until now, m/s
-    ahead: Vector  #: (N,): leads of the rollers, m/s
-    load_axes: Indices
+    control_start: Reals
+    control_state: Reals  #: all of the controllers
+    q: Reals  #: (Q,): present quantities
+    moduli: Reals  #: (K,): E of the spans by the twin, Pa
+    lead: Reals  #: (T,): line speed, m/s
+    set_point: Reals2  #: (T, K)
+    factor: Reals2  #: (T, K): of E
+    known: Reals2  #: (T, K): E·S by the twin, N
+    stated_Pa: Reals  #: (T,): E that the controllers use
+    ahead: Reals  #: (N,): leads of the rollers, m/s
+    load_axes: Wholes
     tally: TallyVectors
-    samples: float
-    every: int
+    figures: Annotated[Any, FIGURES]
 
 
 @inlined
-def _strain(p: Vector, w: Vector, n: int, m: int, k: int, j: int) -> float:
+def _strain(line: LineArrays, j: int) -> float:
     """Strain of span j, from the present quantities."""
-    scale = laws.length_factor(p, places.first_span(n, m) + j * lay.SP_SIZE)
-    return w[4 * n + k + j] * scale / w[4 * n + j] - 1.0
+    return laws.stretch(line, 4 * line.n, j) - 1.0
 
 
 @merged
-def _set_points(n: int, m: int, k: int, look: Look, i: int) -> None:
+def _set_points(line: LineArrays, look: Look, i: int) -> None:
     """Set velocities of all axes for step i, from the last one on."""
-    p, u, w, of, known, stated_Pa = look.p, look.u, look.w, look.control, look.known, look.stated_Pa[i]
-    h = p[lay.W_SAMPLE_TIME_S]
+    n, k, of, known, stated_Pa = line.n, line.k, look.control, look.known, look.stated_Pa[i]
+    web, around, h = records.web(line), records.boundary(line), records.web(line).sample_time_s
     for j in range(k):
         if of.trajectories[j].per_s > 0.0:
             advance(of.trajectories[j], look.set_point[i, j], known[i, j] / of.trajectories[j].section_m2)
-    acceleration = (look.lead[i] - (look.lead[i - 1] if i else look.before)) / h
+    acceleration = (look.lead[i] - (look.lead[i - 1] if i else look.figures.before_m_s)) / h
     plan_leads(of.rollers, of.trajectories, acceleration, look.ahead)
     speed = command = look.lead[i]
     for j in range(k, -1, -1):
         if j < k and of.tensions[j].bandwidth_rad_per_s > 0.0:
             trajectory, damping = of.trajectories[j], of.dampings[j]
-            strain, around, goal_N = _strain(p, w, n, m, k, j), nan, look.set_point[i, j]
+            strain, planned_m_s, goal_N = _strain(line, j), nan, look.set_point[i, j]
             if trajectory.per_s > 0.0:
                 if command >= 0.0:
-                    entering = _strain(p, w, n, m, k, j - 1) if j > 0 else u[lay.U_STRAIN_PREV]
+                    entering = _strain(line, j - 1) if j > 0 else around.strain_prev
                 else:
-                    entering = laws.downstream_strain(p, u[lay.U_F_NEXT_N])
+                    entering = laws.downstream_strain(web, around.F_next_N)
                     if j + 1 < k:
-                        entering = _strain(p, w, n, m, k, j + 1)
-                around, goal_N = velocity_before(trajectory, command, entering), trajectory.tension_N
-            speed = control(of.tensions[j], True, speed, goal_N, known[i, j] * strain, stated_Pa, h, around)
+                        entering = _strain(line, j + 1)
+                planned_m_s, goal_N = velocity_before(trajectory, command, entering), trajectory.tension_N
+            speed = control(of.tensions[j], True, speed, goal_N, known[i, j] * strain, stated_Pa, h, planned_m_s)
             follow_modulus(damping, stated_Pa)
             # The strain is known here; the bench has its rate from the encoders.
             state = viewed(damping, DAMPING)[0]
-            rate = w[4 * n + k + j] * (strain - state.strain) / h - trajectory.shown_m_s
+            rate = line.w[4 * n + k + j] * (strain - state.strain) / h - trajectory.shown_m_s
             state.strain = strain
             command = speed + damp(damping, rate, 1.0)
-        ratio = p[places.motor(n, j) + lay.M_RAD_PER_M]
-        u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = (command + look.ahead[j]) * ratio
+        records.given(line, j).setpoint = (command + look.ahead[j]) * records.motor(line, j).rad_per_m
 
 
 @inlined
-def _watch(n: int, m: int, k: int, look: Look, samples: float, b: int, step: int) -> None:
+def _watch(line: LineArrays, look: Look, samples: float, b: int, step: int) -> None:
     """Note the present quantities of future b after a step, with so many samples."""
-    p, s, u, w, load_axes, q = look.p, look.s, look.u, look.w, look.load_axes, look.q
-    loads, now_s = load_axes.shape[0], s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S]
+    n, k, load_axes, q, web = line.n, line.k, look.load_axes, look.q, records.web(line)
+    loads, now_s, around = load_axes.shape[0], kernel.time_s(line), records.boundary(line)
     for j in range(k):
-        span = places.first_span(n, m) + j * lay.SP_SIZE
-        factor = laws.step_factor(p, span, now_s, p[lay.W_SAMPLE_TIME_S])
-        q[j] = laws.stiffness_N(p, span, now_s, factor) * _strain(p, w, n, m, k, j)
+        span = records.span(line, j)
+        factor = laws.step_factor(span, now_s, web.sample_time_s)
+        q[j] = laws.stiffness_N(span, now_s, factor) * _strain(line, j)
     for i in range(n):
-        q[k + i] = s[places.motor_state(n, k, i) + lay.SM_TORQUE_NM]
-        q[k + n + loads + i] = w[n + i]
+        q[k + i] = records.drive(line, i).torque_Nm
+        q[k + n + loads + i] = line.w[n + i]
     for load in range(loads):
         i = load_axes[load]
-        behind = q[i] if i < k else u[lay.U_F_NEXT_N]
-        before = q[i - 1] if i > 0 else u[lay.U_STRAIN_PREV] * p[lay.W_UPSTREAM_STIFFNESS_N]
-        pulls = p[places.axis(i) + lay.A_WEB_LOAD]
-        q[k + n + load] = pulls * (behind - before) / p[places.motor(n, i) + lay.M_RAD_PER_M]
+        behind = q[i] if i < k else around.F_next_N
+        before = q[i - 1] if i > 0 else around.strain_prev * web.upstream_stiffness_N
+        pulls = records.axis(line, i).web_load
+        q[k + n + load] = pulls * (behind - before) / records.motor(line, i).rad_per_m
     see(look.tally, q, samples, b, step)
 
 
 @inlined
-def _change_moduli(n: int, m: int, k: int, look: Look, scale: float, i: int) -> bool:
+def _change_moduli(line: LineArrays, look: Look, scale: float, i: int) -> bool:
     """Set E of all spans in step i; True if it has changed."""
-    p = look.p
     changed = False
-    for j in range(k):
-        at = places.first_span(n, m) + j * lay.SP_SIZE + lay.SP_MODULUS_PA
-        modulus = look.moduli[j] * scale * look.factor[i, j]
-        changed |= modulus != p[at]
-        p[at] = modulus
+    for j in range(line.k):
+        span, modulus = records.span(line, j), look.moduli[j] * scale * look.factor[i, j]
+        changed |= modulus != span.modulus_Pa
+        span.modulus_Pa = modulus
     return changed
 
 
@@ -166,88 +159,48 @@ def _change_moduli(n: int, m: int, k: int, look: Look, scale: float, i: int) -> 
 def _go_on_two_spans(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
     """Step `kernel.go_on` for three rollers with their own motors alone, the counts as constants."""
     noinline()
-    kernel.advance_line(p, s, u, w, 3, 3, 2, 1, True)
+    kernel.advance_line(LineArrays(p, s, u, w, 3, 3, 2), 1, True)
 
 
 @merged
-def _run(n: int, m: int, k: int, look: Look, scale: float, b: int) -> None:
+def _run(line: LineArrays, look: Look, scale: float, b: int) -> None:
     """Run future b to its end, with E by `scale` of the twin's."""
-    p, s, u, w = look.p, look.s, look.u, look.w
-    _change_moduli(n, m, k, look, scale, 0)
-    kernel.enter(p, s, u, w)
-    row, until_row = 0, look.every
+    _change_moduli(line, look, scale, 0)
+    kernel.enter(line)
+    row, every = 0, int(look.figures.every)
+    until_row = every
     for i in range(look.lead.shape[0]):
-        changed = i > 0 and _change_moduli(n, m, k, look, scale, i)
-        _set_points(n, m, k, look, i)
+        changed = i > 0 and _change_moduli(line, look, scale, i)
+        _set_points(line, look, i)
         if changed:  # the tension jumps with E, and the rollers yield within a step
-            _watch(n, m, k, look, 1.0, b, i - 1)
-        if k == 2 and m == 3 and n == 3:
-            _go_on_two_spans(p, s, u, w)
+            _watch(line, look, 1.0, b, i - 1)
+        if line.k == 2 and line.m == 3 and line.n == 3:
+            _go_on_two_spans(line.p, line.s, line.u, line.w)
         else:
-            kernel.go_on(p, s, u, w, 1)
-        _watch(n, m, k, look, look.samples, b, i)
+            kernel.go_on(line, 1)
+        _watch(line, look, look.figures.samples, b, i)
         until_row -= 1
         if until_row == 0:
             keep(look.tally, look.q, b, row)
-            row, until_row = row + 1, look.every
+            row, until_row = row + 1, every
 
 
-@compiled
-def _run_counted(look: Look, scale: float, b: int) -> None:
-    """`_run` with the counts of a line of one or two spans as constants, or with any."""
-    n, m, k = places.counts(look.p)
-    if (n, m, k) == (2, 2, 1):
-        _run(2, 2, 1, look, scale, b)
-    elif (n, m, k) == (3, 3, 2):
-        _run(3, 3, 2, look, scale, b)
-    else:
-        _run(n, m, k, look, scale, b)
-
-
-@entry_point(
-    VECTOR,
-    MATRIX,
-    *[VECTOR] * 7,
-    TABLE,
-    *[VECTOR] * 2,
-    *[MATRIX] * 3,
-    VECTOR,
-    REAL,
-    VECTOR,
-    INDICES,
-    TABLE,
-    REAL,
-    COUNT,
-)
-def run_futures(
-    p: Vector,
-    start: Matrix,
-    moduli: Vector,
-    scale: Vector,
-    s: Vector,
-    u: Vector,
-    w: Vector,
-    control_start: Vector,
-    control_state: Vector,
-    control_table: Indices,
-    q: Vector,
-    lead: Vector,
-    set_point: Matrix,
-    factor: Matrix,
-    known: Matrix,
-    stated_Pa: Vector,
-    before: float,
-    ahead: Vector,
-    load_axes: Indices,
-    table: Indices,
-    samples: float,
-    every: int,
-) -> None:
-    look = Look(
-        p, s, u, w, _control_of(control_table), q, moduli, lead, set_point, factor, known, stated_Pa, before, ahead,
-        load_axes, of_table(table), samples, every,
-    )  # fmt: skip
-    for b in range(start.shape[0]):
-        s[:] = start[b]
-        control_state[:] = control_start
-        _run_counted(look, scale[b], b)
+#: run_futures(0, table of a `Look`).
+@entry_point(COUNT, TABLE, allocates=False)
+def run_futures(unused: int, table: Indices) -> int:
+    look = arrays_in(table, Look)
+    p, s, u, w = look.p, look.s, look.u, look.w
+    line = records.line_of(p, s, u, w)
+    for b in range(len(look.start)):
+        for j in range(len(s)):
+            s[j] = look.start[b, j]
+        for j in range(len(look.control_state)):
+            look.control_state[j] = look.control_start[j]
+        # With the counts of a line of one or two spans as constants, or with any.
+        if line.n == 2 and line.m == 2 and line.k == 1:
+            _run(LineArrays(p, s, u, w, 2, 2, 1), look, look.scale[b], b)
+        elif line.n == 3 and line.m == 3 and line.k == 2:
+            _run(LineArrays(p, s, u, w, 3, 3, 2), look, look.scale[b], b)
+        else:
+            _run(line, look, look.scale[b], b)
+    return 0

@@ -14,7 +14,6 @@ from hilbench.compiled import (
     COUNT,
     TABLE,
     Reals,
-    Reals2,
     Record,
     Wholes,
     arrays_in,
@@ -32,9 +31,9 @@ from hilbench.estimation.servo_axis.inertia import InertiaArrays
 from hilbench.plant.sensor_rows import silence
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.shaft import ServoAxis
-from hilbench.plant.web_line import kernel, laws, rig_cycle
-from hilbench.plant.web_line import layout as line
-from hilbench.plant.web_line.line_vectors import LineVectors
+from hilbench.plant.web_line import kernel, laws, records, rig_cycle
+from hilbench.plant.web_line.line_vectors import arrays
+from hilbench.plant.web_line.rig_cycle import NoisyRig, RigArrays
 from hilbench.twin.machines.machine import LOOK, WENT_ON, MachineVectors
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED
 
@@ -59,16 +58,10 @@ _NUMBERS = 0x10000
 
 
 class _ShaftArrays(NamedTuple):
-    """The simulated shaft, as `rig_cycle.step_by` has it, then the machine's own, and those of the estimator; `values`,
-    `whole`, `measured`, `asked` and `shown` as of `MachineVectors`."""
+    """The simulated shaft, then the machine's own, and those of the estimator; `values`, `whole`, `measured`, `asked`
+    and `shown` (of the rig) as of `MachineVectors`."""
 
-    plant: LineVectors
-    motors: Wholes
-    asked: Reals
-    sensors: Reals
-    shown: Reals
-    silence: Reals2
-    always: Wholes
+    noisy: NoisyRig
     figures: Annotated[Any, _FIGURES]
     outputs: Annotated[Any, OUTPUTS]
     measured: Reals
@@ -83,18 +76,19 @@ class _ShaftArrays(NamedTuple):
 @compiled
 def _simulate(a: _ShaftArrays, position_rad: float) -> None:
     """Compiled `ServoAxisTwin._simulate`."""
-    (p, s, u, w, out), outputs, stated, priors = a.plant, a.outputs, a.estimator.stated, a.estimator.inputs.u.priors
+    s, outputs, stated, priors = a.noisy.rig.line.s, a.outputs, a.estimator.stated, a.estimator.inputs.u.priors
     if priors[1] > 0.0:
         outputs.viscous_Nm_s_per_rad = stated.viscous
     if priors[2] > 0.0:
         outputs.coulomb_Nm = stated.coulomb
-    time_s = s[line.S_COUNT] * p[lay.P_SAMPLE_TIME_S]
-    p[lay.P_INERTIA] = stated.inertia_kg_m2 / laws.inertia_factor_at(p, lay.AXIS, time_s)
-    p[lay.P_COULOMB], p[lay.P_VISCOUS] = max(outputs.coulomb_Nm, 0.0), max(outputs.viscous_Nm_s_per_rad, 0.0)
+    of = arrays(a.noisy.rig.line)
+    axis, sample_s = records.axis(of, 0), records.web(of).sample_time_s
+    axis.roller_mass_kg = stated.inertia_kg_m2 / laws.inertia_factor_at(axis, kernel.time_s(of), sample_s)
+    axis.coulomb_N, axis.viscous_N_s_per_m = max(outputs.coulomb_Nm, 0.0), max(outputs.viscous_Nm_s_per_rad, 0.0)
     s[lay.S_X_BEHIND] = position_rad + (s[lay.S_X_BEHIND] - s[lay.S_X])
     s[lay.S_X], speed = position_rad, s[lay.S_V]
     s[lay.S_DIRECTION] = 1.0 if speed > 0.0 else (-1.0 if speed < 0.0 else 0.0)
-    kernel.observe(p, s, u, w, out)
+    kernel.observe(*a.noisy.rig.line)
 
 
 @compiled
@@ -104,7 +98,7 @@ def _publish(a: _ShaftArrays) -> None:
     values[at.inertia_kg_m2] = stated.inertia_kg_m2
     values[at.coulomb_Nm] = outputs.coulomb_Nm
     values[at.deviation_kg_m2] = stated.deviation_kg_m2
-    values[at.torque_sim_Nm] = a.shown[_TORQUE]
+    values[at.torque_sim_Nm] = a.noisy.rig.shown[_TORQUE]
     values[at.torque_residual_Nm] = outputs.residual_Nm
     values[at.coulomb_sd_Nm] = stated.coulomb_sd
     values[at.viscous_Nm_s_per_rad] = outputs.viscous_Nm_s_per_rad
@@ -129,18 +123,20 @@ def _run(stage: int, table: Places) -> int:
     a = arrays_in(table, _ShaftArrays)
     outputs, whole, at = a.outputs, a.whole, a.at
     position_rad, torque_Nm = a.measured[_POSITION], a.measured[_TORQUE]
-    outputs.residual_Nm, outputs.problem_before = torque_Nm - a.shown[_TORQUE], outputs.problem
+    simulated_Nm = a.noisy.rig.shown[_TORQUE]
+    outputs.residual_Nm, outputs.problem_before = torque_Nm - simulated_Nm, outputs.problem
     outputs.problem = find_problem(a.plausibility, torque_Nm, 1.0, position_rad)
     if outputs.problem != 0.0:
         outputs.before_Nm = nan
         inertia.hold(a.estimator, a.figures.cycle_s, False)
     else:
         # Excess of the simulated torque's mean over that of both ends of the cycle.
-        before_Nm, outputs.before_Nm = outputs.before_Nm, a.shown[_TORQUE]
-        ripple_Nm = 0.0 if isnan(before_Nm) else a.plant.out[_MEAN] - 0.5 * (before_Nm + a.shown[_TORQUE])
+        before_Nm, outputs.before_Nm = outputs.before_Nm, simulated_Nm
+        mean_Nm = a.noisy.rig.line.out[_MEAN]
+        ripple_Nm = 0.0 if isnan(before_Nm) else mean_Nm - 0.5 * (before_Nm + simulated_Nm)
         inertia.update(a.estimator, position_rad, torque_Nm, ripple_Nm)
         _simulate(a, position_rad)
-    rig_cycle.step_by(int(a.figures.samples), table)
+    rig_cycle.step_noisy(a.noisy, int(a.figures.samples))
     _publish(a)
     outputs.status = whole[at.status]
     whole[at.status] = _status(a.estimator.stated, outputs.problem, a.figures.known)
@@ -173,9 +169,11 @@ class ShaftInVectors:
     ) -> None:
         self._looks, self._outputs = looks, outputs
         step = plant.step_in_vectors(cycle_s)
-        arrays = _ShaftArrays(
-            LineVectors(*plant.vectors),
-            *(step.motors, vectors.asked, step.sensors, vectors.shown, *silence(len(step.motors))),
+        shaft = _ShaftArrays(
+            NoisyRig(
+                RigArrays(plant.vectors, step.motors, vectors.asked, step.sensors, vectors.shown),
+                *silence(len(step.motors)),
+            ),
             np.array([(cycle_s, step.samples, known)], _FIGURES),
             *(outputs, vectors.measured, vectors.values, vectors.whole),
             np.array([(vectors.number, vectors.status)], _AT),
@@ -184,7 +182,7 @@ class ShaftInVectors:
             estimator,
         )
         #: See `machine.InVectors`.
-        self.piece = CompiledStage(_run, 0, arrays, continues=WENT_ON, fallback=fallback, table=table_of(arrays))
+        self.piece = CompiledStage(_run, 0, shaft, continues=WENT_ON, fallback=fallback, table=table_of(shaft))
 
     def has_ended(self, code: int) -> bool:
         """True: each cycle is completed; see `machine.InVectors`."""

@@ -26,10 +26,10 @@ from hilbench.compiled import (
     load,
     merged,
     record_type,
-    records,
     rows_of,
     table_of,
 )
+from hilbench.compiled import records as array_of
 from hilbench.cycle_program import CompiledStage, never
 from hilbench.estimation.bank import Places
 from hilbench.estimation.web_line import balance, rollers, torque_shift
@@ -39,13 +39,13 @@ from hilbench.estimation.web_line.span_estimator import SpanEstimator
 from hilbench.estimation.web_line.span_estimator_cycle import SpanEstimatorArrays, run_arrays
 from hilbench.estimation.web_line.splices import SUMS
 from hilbench.estimation.web_line.synchronizers import filters
-from hilbench.plant import sample_coherence
-from hilbench.plant.sample_coherence import IncrementCheck, SampleCoherence, coherent, increments_steadily
+from hilbench.plant.sample_coherence import STEADY, IncrementCheck, SampleCoherence, coherent, increments_steadily
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line import line_vectors, rig_cycle
+from hilbench.plant.web_line import line_vectors, records, rig_cycle
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.rig_cycle import RigArrays
 from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.twin.machines import web_splice_tracker
 from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, MachineVectors
@@ -93,9 +93,9 @@ class _LineArrays(NamedTuple):
     table the arrays of the span estimators follow."""
 
     travels: Reals  #: state of the coherence check
-    steady: Reals  #: state of `increments_steadily`
+    steady: Annotated[Any, STEADY]  #: state of `increments_steadily`
     figures: Annotated[Any, _FIGURES]
-    spans: Annotated[Any, records(_SPAN)]
+    spans: Annotated[Any, array_of(_SPAN)]
     rad_per_m: Reals  #: of the motors, at the web
     positions_m: Reals
     torques_Nm: Reals
@@ -108,7 +108,7 @@ class _LineArrays(NamedTuple):
     values: Reals
     whole: Wholes
     at: Annotated[Any, _AT]
-    published: Annotated[Any, records(_PUBLISHED)]
+    published: Annotated[Any, array_of(_PUBLISHED)]
     rollers: RollerArrays
     tracker: Annotated[Any, TRACKER]
     sums: Annotated[Any, SUMS]
@@ -131,13 +131,13 @@ def _measured(a: _LineArrays) -> bool:
     for axis in range(len(x_m)):
         x_m[axis] = measured[_MEASURED_SIZE * axis] * (1.0 / rad_per_m[axis])
     if not coherent(a.travels, x_m, figures.least_travel_m):
-        a.steady[sample_coherence.STEADY_MISSED] += 1.0
+        a.steady.missed += 1.0
         return False
     if not increments_steadily(a.steady, x_m[int(a.spans[0].place) + 1]):
         return False
     torques_Nm = a.torques_Nm
     if figures.ripples != 0.0:
-        line_vectors.put_torque_ripples(a.line.p, a.line.s, a.motors, int(figures.samples), torques_Nm)
+        line_vectors.torque_ripples(a.line.p, a.line.s, a.motors, int(figures.samples), torques_Nm)
     for axis in range(len(x_m)):
         torque_Nm = measured[_MEASURED_SIZE * axis + _TORQUE]
         torques_Nm[axis] = torque_Nm + torques_Nm[axis] if figures.ripples != 0.0 else torque_Nm
@@ -197,7 +197,7 @@ def _compare(a: _LineArrays, table: Places, first: int, strain_prev: float, F_ne
 @compiled
 def _show(a: _LineArrays) -> None:
     """Update the motors' feedback after a change of state."""
-    rig_cycle.show(a.line.p, a.line.s, a.line.out, a.motors, a.sensors, a.silence, a.shown)
+    rig_cycle.show(RigArrays(a.line, a.motors, a.asked, a.sensors, a.shown), a.silence)
 
 
 @compiled
@@ -208,7 +208,7 @@ def _publish(a: _LineArrays, table: Places, compared: bool) -> tuple[int, bool]:
     for k in range(len(spans)):
         v, at = _of_span(table, k), a.published[k]
         t, factor = v.t, v.t.series_factor
-        values[at.F_sim_N] = a.line.out[3 * int(a.line.p[lay.W_MOTORS]) + k]
+        values[at.F_sim_N] = line_vectors.tension_N(a.line, k)
         values[at.E_sim_Pa] = factor * t.modulus_Pa
         values[at.E_deviation_Pa] = factor * t.deviation_Pa
         values[at.torque_sim_Nm] = a.shown[rig_cycle.SHOWN * (k + 1) + _TORQUE]
@@ -247,10 +247,9 @@ def _run(stage: int, table: Places) -> int:
             return stage
     if a.figures.by_object != 0.0:
         return _COMPARED if stage == _FINISH else _WITHOUT
-    p, s, u, work, out = a.line
-    u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = strain_prev + a.figures.input_strain, F_next_N
-    samples = int(a.figures.samples)
-    rig_cycle.step(p, s, u, work, out, a.motors, a.asked, samples, a.sensors, a.silence, a.shown)
+    around = records.boundary(line_vectors.arrays(a.line))
+    around.strain_prev, around.F_next_N = strain_prev + a.figures.input_strain, F_next_N
+    rig_cycle.step(RigArrays(a.line, a.motors, a.asked, a.sensors, a.shown), int(a.figures.samples), a.silence)
     status, valid = _publish(a, table, stage == _FINISH)
     a.figures.status, whole[at.status] = whole[at.status], status
     whole[at.number] = (whole[at.number] + 1) % _NUMBERS
@@ -299,7 +298,7 @@ class LineCycle:
         rad_per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, axes + 1)])
         own = np.zeros(_MEASURED_SIZE * axes), np.zeros(axes), np.zeros(rig_cycle.SHOWN * axes)
         self._by_object = _LineArrays(
-            *(travels, self.steady.state, self._figures, self.spans, rad_per_m, self._positions_m, np.zeros(axes)),
+            *(travels, self.steady.vector, self._figures, self.spans, rad_per_m, self._positions_m, np.zeros(axes)),
             *own,
             step.motors,
             *(step.sensors, step.silence, np.zeros(2)),

@@ -34,9 +34,10 @@ def exported_axis(model: ServoAxisParameters, *, drives: bool) -> ExportedMachin
     machine = Shaft(model, None, (), 1)
     vectors, layout = machine.vectors, machine._layout
     p, u = vectors.p.copy(), vectors.u.copy()
-    layout.motor_inputs(u)[:, line.UM_MODE] = MotorMode.VELOCITY if drives else MotorMode.TORQUE
+    layout.motor_inputs(u).mode = MotorMode.VELOCITY if drives else MotorMode.TORQUE
     if not drives:
-        p[lay.MOTOR + line.M_LIMIT_NM], p[lay.MOTOR + line.M_CURRENT_S] = inf, 0.0
+        motors = layout.motor_rows(p)
+        motors.limit_Nm, motors.current_s = inf, 0.0
     columns = (column for column, _ in machine._columns)
     variables = [output(quantity, at) for quantity, at in zip(machine.describe().outputs, columns, strict=True)]
     variables.append(asked(1, "rad", Place(U, lay.U_SETPOINT), drives=drives))
@@ -49,6 +50,6 @@ def exported_axis(model: ServoAxisParameters, *, drives: bool) -> ExportedMachin
         description="servo axis" + (" with its drive" if drives else ""),
         kernel=LINE, p=p, s=vectors.s.copy(), u=u, work=len(vectors.w), out=len(vectors.out),
         variables=tuple(variables),
-        forgotten=(Place(FORGOTTEN, lay.S_MOTORS + line.SM_LIMITED),),
+        forgotten=(Place(FORGOTTEN, layout.first_drive + line.column(line.DRIVE, "limited")),),
         sample_s=sample_s, time=(line.S_COUNT, 1.0 / sample_s),
     )  # fmt: skip

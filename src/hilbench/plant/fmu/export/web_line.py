@@ -19,7 +19,7 @@ from hilbench.plant.fmu.export.machine import (
 )
 from hilbench.plant.interface import Quantity
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.web_line import kernel, line_kernel, places
+from hilbench.plant.web_line import kernel, line_kernel, records
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.line import Line
@@ -32,11 +32,8 @@ from hilbench.plant.web_line.stations import ONLY_DRIVEN
 def _go_line(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
     """Step a web line or a servo axis with its drives; `out` as the columns of `web_line.layout.Layout`."""
     if samples > 0:
-        kernel.enter(p, s, u, w)
-        kernel.go_on(p, s, u, w, samples)
-        kernel.leave(s, w, places.block(int(p[lay.W_AXES]), int(p[lay.W_SPANS]), 1))
-    kernel.enter(p, s, u, w)
-    kernel.report(p, s, u, w, out, 0)
+        kernel.advance(p, s, u, w, samples)
+    kernel.observe(p, s, u, w, out)
 
 
 def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
@@ -45,17 +42,17 @@ def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: in
     `u`: speeds of the N rollers, in place of set points of their motors, which are off. `out`: as of a line, then E of
     the K spans, and the torque at each motor that emulates web and resistance (see `LineFollower.load_torques_Nm`).
     """
-    (n, m, k), first, sample_s = places.counts(p), lay.U_MOTORS + lay.UM_SETPOINT, p[lay.W_SAMPLE_TIME_S]
-    for i in range(n):
-        line_kernel.set_speed(p, s, i, u[first + i * lay.UM_SIZE])
+    line = records.line_of(p, s, u, w)
+    for i in range(line.n):
+        line_kernel.set_speed(line, i, records.given(line, i).setpoint)
     if duration > 0.0:
-        line_kernel.roll_on(p, s, u, w, duration, sample_s, line_kernel.LONGEST_STEP_S)
-    line_kernel.observe(p, s, u, w, out)
-    line_kernel.put_moduli(p, s, u, out, 4 * m + 2 * k)
-    for i in range(n):
-        loaded, speed = p[places.axis(i) + lay.A_WEB_LOAD] != 0.0, u[first + i * lay.UM_SIZE]
-        rad_per_m = p[places.motor(n, i) + lay.M_RAD_PER_M]
-        out[4 * m + 3 * k + i] = line_kernel.web_torque_Nm(p, s, u, out, i, loaded, rad_per_m, speed)
+        line_kernel.roll_on(line, duration, records.web(line).sample_time_s, line_kernel.LONGEST_STEP_S)
+    kernel.observe(p, s, u, w, out)
+    line_kernel.put_moduli(line, out, kernel.columns(line))
+    for i in range(line.n):
+        loaded, speed = records.axis(line, i).web_load != 0.0, records.given(line, i).setpoint
+        rad_per_m, at = records.motor(line, i).rad_per_m, kernel.columns(line) + line.k + i
+        out[at] = line_kernel.web_torque_Nm(line, out, i, loaded, rad_per_m, speed)
 
 
 LINE, _WEB = Kernel("line", _go_line), Kernel("web", _go_web)
@@ -74,9 +71,9 @@ def exported_line(model: ModelParameters, *, drives: bool) -> ExportedMachine:
     p, layout = machine._p.copy(), machine._layout
     u = machine._inputs.copy()
     rows, inputs, n, k = layout.motor_rows(p), layout.motor_inputs(u), layout.axes, layout.spans
-    inputs[:, lay.UM_MODE] = MotorMode.VELOCITY if drives else MotorMode.TORQUE
+    inputs.mode = MotorMode.VELOCITY if drives else MotorMode.TORQUE
     if not drives:
-        rows[:, lay.M_LIMIT_NM], rows[:, lay.M_CURRENT_S] = inf, 0.0
+        rows.limit_Nm, rows.current_s = inf, 0.0
     columns, described = layout.columns, machine.describe()
     outputs = [quantity for quantity in described.outputs if not quantity.name.startswith("length")]
     starts = {"x": columns["x_m"], "v": columns["v_m_s"], "tau": columns["tau_Nm"], "F": columns["F_N"]}
@@ -86,14 +83,15 @@ def exported_line(model: ModelParameters, *, drives: bool) -> ExportedMachine:
         for quantity, (symbol, number) in ((each, _numbered(each.name)) for each in outputs)
     ]
     for axis in range(n):
-        at, per_m = lay.U_MOTORS + axis * lay.UM_SIZE + lay.UM_SETPOINT, float(rows[axis, lay.M_RAD_PER_M])
+        at, per_m = lay.U_MOTORS + axis * lay.UM_SIZE + lay.UM_SETPOINT, float(rows[axis].rad_per_m)
         variables.append(asked(axis + 1, "m", Place(U, at, per_m if drives else 1.0), drives=drives))
     variables += _boundary()
     variables += _moduli(model, layout)
+    inertia = lay.column(lay.AXIS, "roller_mass_kg")
     variables += [
         parameter(
             Quantity(f"roller_inertia{axis}_kg_m2", "kg·m²", f"of roller {axis} about its own shaft"),
-            Place(P, lay.W_SIZE + (axis - 1) * lay.A_SIZE + lay.A_ROLLER_MASS_KG, model.radius_m(axis) ** -2),
+            Place(P, lay.W_SIZE + (axis - 1) * lay.A_SIZE + inertia, model.radius_m(axis) ** -2),
         )
         for axis in range(1, n + 1)
     ]
@@ -118,7 +116,7 @@ def exported_load(model: ModelParameters) -> ExportedMachine:
         raise ValueError(f"a line with stations, expected {ONLY_DRIVEN}")
     follower = LineFollower(model)
     p, layout = follower._p.copy(), follower._layout
-    n, m, k = layout.axes, layout.motors, layout.spans
+    n, k = layout.axes, layout.spans
     variables = [
         ExportedVariable(
             Quantity(f"v{axis}_m_s", "m/s", f"speed of roller {axis} in the step"),
@@ -129,16 +127,16 @@ def exported_load(model: ModelParameters) -> ExportedMachine:
     ]
     variables += _boundary()
     for place, symbol, unit, what in (
-        (3 * m, "F", "N", "tension"),
-        (3 * m + k, "strain", "1", "strain"),
-        (4 * m + 2 * k, "E", "Pa", "Young's modulus as it acts"),
+        (layout.columns["F_N"].start, "F", "N", "tension"),
+        (layout.columns["strain"].start, "strain", "1", "strain"),
+        (layout.output_size, "E", "Pa", "Young's modulus as it acts"),
     ):
         for number in range(1, k + 1):
             name = f"{symbol}{number}" + (f"_{unit}" if unit != "1" else "")
             variables.append(output(Quantity(name, unit, f"{what} of the web in span {number}"), place + number - 1))
     for axis in range(1, n + 1):
         what = f"at the motor of axis {axis}: emulates the web and the roller's resistance"
-        variables.append(output(Quantity(f"tau_load{axis}_Nm", "N·m", what), 4 * m + 3 * k + axis - 1))
+        variables.append(output(Quantity(f"tau_load{axis}_Nm", "N·m", what), layout.output_size + k + axis - 1))
     variables += _moduli(model, layout)
     return ExportedMachine(
         name="web",
@@ -161,14 +159,16 @@ def _boundary() -> list[ExportedVariable]:
         Quantity("strain_prev", "1", "strain of the web that enters"),
         Quantity("F_next_N", "N", "tension behind the last roller"),
     )
-    return [ExportedVariable(each, "input", (Place(U, lay.U_STRAIN_PREV + at),)) for at, each in enumerate(quantities)]
+    return [ExportedVariable(each, "input", (Place(U, at),)) for at, each in enumerate(quantities)]
 
 
 def _moduli(model: ModelParameters, layout: Layout) -> list[ExportedVariable]:
     """E of the web in each span, by the machine's names."""
     if model.web is None:
         return []
-    places = [Place(P, layout.first_span + j * lay.SP_SIZE + lay.SP_MODULUS_PA) for j in range(layout.spans)]
+    places = [
+        Place(P, layout.first_span + j * lay.SP_SIZE + lay.column(lay.SPAN, "modulus_Pa")) for j in range(layout.spans)
+    ]
     return [
         parameter(quantity, at)
         for quantity, at in zip(modulus_names(layout.spans)[-layout.spans :], places, strict=True)
@@ -176,5 +176,5 @@ def _moduli(model: ModelParameters, layout: Layout) -> list[ExportedVariable]:
 
 
 def _limited(layout: Layout) -> list[int]:
-    first = lay.S_Y + layout.y_size + layout.axes * lay.SA_SIZE + lay.SM_LIMITED
-    return [first + motor * lay.SM_SIZE for motor in range(layout.motors)]
+    first = layout.first_drive + lay.column(lay.DRIVE, "limited")
+    return [first + motor * lay.DRIVE_SIZE for motor in range(layout.motors)]
