@@ -315,7 +315,7 @@ class LineFollower(Line):
 
     def put_modulus(self, span: int, modulus_Pa: float) -> None:
         """Set E of a span, from 1, of a web that is not broken; outputs follow with the next call."""
-        self._p[int(self.moduli[0, span - 1])] = modulus_Pa
+        self._p[int(self.moduli[span - 1])] = modulus_Pa
 
     def set_parameter(self, name: str, value: float) -> None:
         """Set a parameter from now on. Raises ValueError for an unknown name or an impossible value."""
