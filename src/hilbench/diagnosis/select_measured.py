@@ -130,7 +130,10 @@ class MeasuredRules:
         candidates = [t for t in plain if not any(map(t.overlaps, current.terms)) and is_in_known_band(space, t)]
         responses = space.strengths(current.terms, current.residual, candidates)
         own = space.point(current.terms, current.residual).derivatives
-        laws = np.concatenate([own, *(r for t, r in zip(candidates, responses, strict=True) if not t.has_phase)])
+        # Without waves: one that acts as a term that is there is looked at as well, to be tied with it.
+        mine = zip(parts(current.terms), current.terms, strict=True)
+        of_all = [*((own[part], term) for part, term in mine), *zip(responses, candidates, strict=True)]
+        laws = np.concatenate([own[:0], *(response for response, term in of_all if not term.has_phase)])
         moving = basis(self._counted(laws).reshape(len(laws), -1))
         is_identified = [
             not term.has_phase
