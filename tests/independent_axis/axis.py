@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numba
 import numpy as np
@@ -104,7 +104,7 @@ class Axis:
 
     def command(self, seed: int) -> tuple[Array, Array]:
         """Times and speed commands (n,) at the samples of the loop."""
-        t_s = np.arange(round(self.seconds / _LOOP_S)) * _LOOP_S
+        t_s = np.asarray(_LOOP_S * np.arange(round(self.seconds / _LOOP_S)), np.float64)
         return t_s, _COMMANDS[self.motion](self, t_s, np.random.default_rng([7, seed]))
 
     def recording(self, seed: int) -> Recording:
@@ -216,8 +216,7 @@ _COMMANDS: Mapping[str, Callable[[Axis, Array, np.random.Generator], Array]] = {
 }
 
 
-@numba.njit
-def _simulated(command: Array, figures: Array, count_rad: float) -> tuple[Array, Array]:
+def _step_through(command: Array, figures: Array, count_rad: float) -> tuple[Array, Array]:
     """Measured positions (n,) and torques of the motor (n,) at the samples of the loop."""
     inertia, coulomb, viscous, difference, amplitude, order, phase, unbalance, at, play, warming = figures[:11]
     lag_s, kp, ki, limit, filter_s = figures[11:]
@@ -255,3 +254,6 @@ def _simulated(command: Array, figures: Array, count_rad: float) -> tuple[Array,
             v += step_s * acting / rotor
             x += step_s * v
     return positions, torques
+
+
+_simulated = cast(Callable[[Array, Array, float], tuple[Array, Array]], numba.njit(_step_through))
