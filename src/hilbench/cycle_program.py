@@ -73,7 +73,7 @@ def _hand_over(_: int, _table: Table) -> int:
     return _HANDED_OVER
 
 
-def interpreted(work: Callable[[], object]) -> CompiledStage:
+def python_stage(work: Callable[[], object]) -> CompiledStage:
     """Stage that is all Python's. The next cycle may follow without it unless `work` returns False."""
     return CompiledStage(_hand_over, 0, (), fallback=lambda _: work() is not False)
 

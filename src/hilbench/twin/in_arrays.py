@@ -11,7 +11,7 @@ from typing import Any
 
 from hilbench.canopen.object_store import Cell
 from hilbench.compiled import of_record
-from hilbench.cycle_program import CompiledStage, interpreted
+from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.fast_path import layout as lay
 from hilbench.fast_path.devices import HostFrames
 from hilbench.fast_path.motors import Motors
@@ -40,7 +40,7 @@ class TwinInArrays:
         self._written: list[tuple[Cell, int]] = []
         self._of_io: set[int] = set()  # cells that hold their values themselves
         self._cycles = 0
-        self._by_objects = interpreted(self._go_on_by_objects)
+        self._by_objects = python_stage(self._go_on_by_objects)
         if not self._in_vectors:
             self._find_cells(of_host)
             return

@@ -39,7 +39,7 @@ from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.compiled import Vector, load
 from hilbench.control.web_line.swing_damping import SwingDamping, SwingPlant
 from hilbench.control.web_line.tension import tension_controller
-from hilbench.cycle_program import CompiledStage, Function, interpreted, never
+from hilbench.cycle_program import CompiledStage, Function, never, python_stage
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.problems import Problem
 from hilbench.exchange.exchange import Inputs
@@ -460,7 +460,7 @@ class WebLoadTask(LoadTask):
         piece = self.model.piece(sample.reals, self._at, fallback)
         if piece is None:
             return None
-        pushes = [interpreted(partial(self._push, sample))] if self._forces else []
+        pushes = [python_stage(partial(self._push, sample))] if self._forces else []
         return CompiledStages(
             after=[piece, *pushes], cycles=lambda: MANY if self.model.continues else 0, shown=dict(self._commands)
         )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Generic, Literal, Protocol, TypeVar
 
-from hilbench.cycle_program import CompiledStage
+from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.sample import CycleSample
 
@@ -80,6 +81,11 @@ class CyclicTask:
     def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
         """Compiled stages for `before` and `after` on this sample; None: every cycle needs Python."""
         return None
+
+
+def command_stage(task: CyclicTask, sample: CycleSample) -> CompiledStage:
+    """Stage of a `before` that stays in Python, whose outputs the sample holds (`CompiledStages.shown`)."""
+    return python_stage(partial(task.before, sample, Outputs()))
 
 
 def overrides(task: CyclicTask, moment: Literal["before", "after", "rest"]) -> bool:

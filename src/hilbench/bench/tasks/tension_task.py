@@ -21,7 +21,7 @@ from hilbench.compiled import Records, Vector, load, of_record, record_at
 from hilbench.control.web_line.strain_trajectory import TRAJECTORY
 from hilbench.control.web_line.swing_damping import SwingDamping
 from hilbench.control.web_line.tension import CONTROLLER
-from hilbench.cycle_program import CompiledStage, interpreted
+from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.quantities import tension_set_point
 from hilbench.topology.sample import CycleSample
@@ -270,7 +270,7 @@ class TensionTask(CyclicTask):
             shown = getattr(sample, self._names.set_point) == self.goal_N
             return MANY if fresh == bool(self._at["fresh"]) and shown else 0
 
-        at_reels = [] if self._trajectories is None else [interpreted(partial(self._follow_reels, sample))]
+        at_reels = [] if self._trajectories is None else [python_stage(partial(self._follow_reels, sample))]
         before, shown = [*at_reels, self._piece(sample)], {self._names.drive: self._names.command}
         return CompiledStages(before=before, cycles=cycles, shown=shown)
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from functools import partial
 from math import inf
 
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.set_point import OneSetPoint
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, command_stage
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_roller_motion import RollerMotion
 from hilbench.bench.tasks.web_winding_control import CarriageForce
-from hilbench.cycle_program import interpreted
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import LineCarriage
@@ -66,9 +64,8 @@ class CarriageForceTask(OneSetPoint, CyclicTask):
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Python's stage that commands the force."""
-        command = interpreted(partial(self.before, sample, Outputs()))
-        shown = {self._signal: self._signal}
-        return CompiledStages(before=[command], cycles=lambda: MANY if self._moved else 0, shown=shown)
+        before, shown = [command_stage(self, sample)], {self._signal: self._signal}
+        return CompiledStages(before=before, cycles=lambda: MANY if self._moved else 0, shown=shown)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """Command the force that holds the carriage at its start position, for the drives being enabled again."""

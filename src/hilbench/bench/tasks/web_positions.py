@@ -6,11 +6,11 @@ from functools import partial
 
 import numpy as np
 
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, command_stage
 from hilbench.bench.tasks.tension_cycle import SPEEDS
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_winding_control import DancerPosition, eased
-from hilbench.cycle_program import interpreted
+from hilbench.cycle_program import python_stage
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.web_line.stations import LineCarriage
@@ -107,8 +107,7 @@ class PositionTask(CyclicTask):
         def cycles() -> int:
             return MANY if self._moved and getattr(sample, self._shown) == self._values[self._set_point] else 0
 
-        command = interpreted(partial(self.before, sample, Outputs()))
-        return CompiledStages(before=[command], cycles=cycles, shown={self._drive: self._command})
+        return CompiledStages(before=[command_stage(self, sample)], cycles=cycles, shown={self._drive: self._command})
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The carriage is as at the start when the drives are enabled again."""
@@ -142,7 +141,7 @@ class CarriageStops(CyclicTask):
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Python's stage that checks the position."""
-        return CompiledStages(after=[interpreted(partial(self._check, sample))])
+        return CompiledStages(after=[python_stage(partial(self._check, sample))])
 
     def _check(self, sample: CycleSample) -> None:
         position_m = getattr(sample, self._measured)

@@ -6,11 +6,11 @@ from functools import partial
 
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.set_point import OneSetPoint
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, command_stage
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_roller_motion import RollerMotion
 from hilbench.bench.tasks.web_winding_control import ReelMechanics, ReelTension
-from hilbench.cycle_program import interpreted
+from hilbench.cycle_program import python_stage
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -89,8 +89,7 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
         def cycles() -> int:
             return MANY if self._reported and getattr(sample, self._shown) == self._set_point else 0
 
-        command = interpreted(partial(self.before, sample, Outputs()))
-        return CompiledStages(before=[command], cycles=cycles, shown={self._drive: self._torque})
+        return CompiledStages(before=[command_stage(self, sample)], cycles=cycles, shown={self._drive: self._torque})
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """Command zero torque, and reset: nothing is known of the line."""
@@ -116,7 +115,7 @@ class LoadCells(CyclicTask):
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Python's stage that writes the readings."""
-        return CompiledStages(after=[interpreted(partial(self._write, sample))])
+        return CompiledStages(after=[python_stage(partial(self._write, sample))])
 
     def _write(self, sample: CycleSample) -> None:
         for cell, before, behind in self._cells:

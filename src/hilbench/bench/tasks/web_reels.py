@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
-from hilbench.bench.tasks.task import CompiledStages, CyclicTask, Outputs
+from hilbench.bench.tasks.task import CompiledStages, CyclicTask, Outputs, command_stage
 from hilbench.bench.tasks.tension_task import Leader
-from hilbench.cycle_program import interpreted
 from hilbench.topology.sample import CycleSample
 
 
@@ -50,7 +48,7 @@ class ReelSpeeds(CyclicTask):
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Python's stage that commands the reels."""
         shown = {reel.drive: command for reel, command in self._reels}
-        return CompiledStages(before=[interpreted(partial(self.before, sample, Outputs()))], shown=shown)
+        return CompiledStages(before=[command_stage(self, sample)], shown=shown)
 
 
 class ReelTravel:
