@@ -328,8 +328,10 @@ class TwinApplication:
             self._time_s += self.cycle_s
 
     def forget_vectors(self) -> None:
-        """Leave the vectors without a cycle run in them."""
-        self._in_vectors = None
+        """Move the machine back to its objects without a cycle run in the vectors."""
+        if self._in_vectors is not None:
+            self._in_vectors.give()
+            self._in_vectors = None
 
     def end_in_vectors(self) -> None:
         """Move the machine back to its objects."""
