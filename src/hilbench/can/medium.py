@@ -10,7 +10,6 @@ it joins again (as a SocketCAN interface without restart-ms).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -89,11 +88,6 @@ class Medium:
     def join(self, station: Station) -> None:
         self._stations.append(station)
 
-    @property
-    def stations(self) -> Sequence[Station]:
-        """Stations on the wire, in the order in which they joined."""
-        return self._stations
-
     def leave(self, station: Station) -> None:
         """Take a station off the wire; what is in its queue is not sent."""
         self._stations.remove(station)
@@ -150,16 +144,12 @@ class Medium:
         heads = [station for station in self._stations if station.queue]
         if not heads:
             return False
-        winner = heads[0]
+        start = max(self.free_ns, min([station.queue[0].ready_ns for station in heads]))
+        winner = min(
+            (station for station in heads if station.queue[0].ready_ns <= start),
+            key=lambda station: station.queue[0].priority,
+        )
         frame = winner.queue[0]
-        start = max(self.free_ns, frame.ready_ns)
-        if len(heads) > 1:
-            start = max(self.free_ns, min([station.queue[0].ready_ns for station in heads]))
-            winner = min(
-                (station for station in heads if station.queue[0].ready_ns <= start),
-                key=lambda station: station.queue[0].priority,
-            )
-            frame = winner.queue[0]
         if start > until_ns:
             return False
         if frame.outcome is not None and frame.outcome.broken_off_after:
