@@ -35,7 +35,7 @@ import numpy as np
 from tests.estimation import shift_bench, shift_offline
 from tests.independent_line.shift import SHIFT_S
 
-from hilbench.results.synchronization import methods_of
+from hilbench.results.web_line_synchronization import methods_of
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs" / "images"

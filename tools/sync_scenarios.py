@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tests.simulated_measurements import simulated_measurements
 
 from hilbench.estimation.web_line.config import METHODS, AlsoEstimated, ChangepointConfig, SynchronizerConfig
-from hilbench.results.synchronization import MethodResult, compare_methods
+from hilbench.results.web_line_synchronization import MethodResult, compare_methods
 from hilbench.runs.config import load_with_overrides
 
 CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"

@@ -17,8 +17,7 @@ from hilbench.plant.web_line.emulation import lead_s
 from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.runs.config import load
 from hilbench.topology.blocks import LoadConfig
-from hilbench.topology.quantities import WEB_BROKEN
-from hilbench.topology.web_line_quantities import YOUNGS_MODULUS
+from hilbench.topology.web_line_quantities import WEB_BROKEN, YOUNGS_MODULUS
 
 DANCER = Path(__file__).resolve().parents[2] / "bench_configs" / "line_with_dancer.yaml"
 CYCLE_S = 0.002

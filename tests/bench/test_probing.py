@@ -15,7 +15,7 @@ from hilbench.results.journal import read_journal
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
-from hilbench.topology.quantities import TENSION_PROBE
+from hilbench.topology.web_line_quantities import TENSION_PROBE
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "probing.yaml"
 RAMP = {"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 1.0}}

@@ -21,9 +21,9 @@ from hilbench.results.journal import read_journal
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
-from hilbench.topology.quantities import TENSION_PROBE
 from hilbench.topology.sample import sample_type
 from hilbench.topology.web_line_config import rest_misfit
+from hilbench.topology.web_line_quantities import TENSION_PROBE
 
 CYCLE_S, WAY_M = 0.002, 1e-3
 RESTARTED_S, RUNS_S = 3.0, 13.0

@@ -18,7 +18,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.config import METHODS
 from hilbench.estimation.web_line.offline import Track, run_offline
 from hilbench.results.recording import Recording, read_recording, write_recording
-from hilbench.results.synchronization import (
+from hilbench.results.web_line_synchronization import (
     NEEDED,
     compare_methods,
     compare_runs,

@@ -14,7 +14,6 @@ from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.alternatives import FreeRules
-from hilbench.diagnosis.bench_gap import figures_of_line
 from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.predictor import choice
@@ -23,6 +22,7 @@ from hilbench.diagnosis.search import search
 from hilbench.diagnosis.selection import Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Place
+from hilbench.diagnosis.web_line.bench_gap import figures_of_line
 from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import STATION_EFFECTS, find_effect
 from hilbench.plant.parameters import EffectEntry

@@ -14,7 +14,7 @@ from hilbench.estimation.web_line.config import ChangepointConfig, SynchronizerC
 from hilbench.estimation.web_line.offline import Track, run_offline
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
-from hilbench.results.synchronization import measurements_of, twin_config
+from hilbench.results.web_line_synchronization import measurements_of, twin_config
 from hilbench.runs.figures import ESTIMATE_BAND, overshoot_pct, time_to_stay
 
 #: From here on a twin that has just started is scored, s.

@@ -21,7 +21,7 @@ from hilbench.estimation.web_line.config import ModelErrorsConfig, SynchronizerC
 from hilbench.estimation.web_line.offline import Track, run_offline
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
-from hilbench.results.synchronization import measurements_of, twin_config
+from hilbench.results.web_line_synchronization import measurements_of, twin_config
 
 #: From here on a twin that has just started is scored, s.
 SCORED_FROM_S = 1.0

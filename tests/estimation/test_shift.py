@@ -15,7 +15,7 @@ from tests.independent_line import Record, effect
 from tests.independent_line.shift import TENSION_N, courses, shift_line
 
 from hilbench.estimation.web_line.config import ModelErrorsConfig
-from hilbench.results.synchronization import methods_of
+from hilbench.results.web_line_synchronization import methods_of
 from hilbench.runs.config import load_with_overrides
 
 #: Of a right model: E and tension in motion, 1 s behind steps left out.

@@ -10,8 +10,8 @@ import pytest
 from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import EXIT_PASSED
-from hilbench.live.line import LiveLine
 from hilbench.live.watch import Watch
+from hilbench.live.web_line import LiveLine
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment

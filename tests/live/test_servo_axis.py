@@ -12,7 +12,7 @@ from tests.bench.missed_cycles import missed
 from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import EXIT_PASSED
-from hilbench.live.shaft import LiveShaft
+from hilbench.live.servo_axis import LiveShaft
 from hilbench.live.watch import Watch
 from hilbench.live.window import Window
 from hilbench.results.journal import read_journal

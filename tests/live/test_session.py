@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from hilbench.bench.reports.diagnosis_updates import CHUNK_CYCLES, DiagnosisUpdate, Samples
-from hilbench.live.line import LiveLine
 from hilbench.live.session import Session
+from hilbench.live.web_line import LiveLine
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.live_config import LiveDiagnosisConfig
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.predictor import deviations_of
-from hilbench.live.line import LiveLine
 from hilbench.live.segment import Segment
+from hilbench.live.web_line import LiveLine
 from hilbench.live.window import Window
 from hilbench.plant.web_line.emulation import Emulation, simulate_emulated
 from hilbench.plant.web_line.layout import pack

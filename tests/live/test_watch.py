@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hilbench.live.line import LiveLine
 from hilbench.live.watch import Watch
+from hilbench.live.web_line import LiveLine
 from hilbench.runs.config import load_with_overrides
 
 CONFIG = load_with_overrides(Path(__file__).resolve().parents[2] / "bench_configs" / "live_friction.yaml").config

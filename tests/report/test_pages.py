@@ -13,14 +13,14 @@ from hilbench.apps.compare.page import ComparedRun, write_compare_page
 from hilbench.apps.diagnose.page import Found, write_diagnosis_page
 from hilbench.apps.report import page as report_page
 from hilbench.apps.sync.page import write_comparison
-from hilbench.diagnosis.bench_gap import LiveFigure, LiveGap
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Profile, Unobservable, Value
 from hilbench.diagnosis.residual_analysis import Misfit
+from hilbench.diagnosis.web_line.bench_gap import LiveFigure, LiveGap
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.offline import Track
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
-from hilbench.results.synchronization import Comparison, MethodResult
+from hilbench.results.web_line_synchronization import Comparison, MethodResult
 
 T_S = np.linspace(0.0, 10.0, 2000)
 

@@ -11,7 +11,7 @@ from tests.simulated_recordings import hidden_recording
 from hilbench.diagnosis.diagnosis import diagnose
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.results.synchronization import compare_methods, methods_of
+from hilbench.results.web_line_synchronization import compare_methods, methods_of
 from performance.table import Section
 
 _METHODS = "ekf,rls,pid"

@@ -27,11 +27,11 @@ from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_noise import Uncertainty, uncertainty
 from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.terms import Place, Term, strength_parts
+from hilbench.diagnosis.web_line.machine import WIDE, believed_sizes
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.config import ModelErrorsConfig
 from hilbench.plant.effect import Section
 from hilbench.plant.model_file import Machine
-from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
@@ -286,8 +286,6 @@ def _uncertainty(space: Space, columns: Array, left: Array, precision: Array) ->
     return uncertainty(columns[:, forces][..., rows], left[forces][:, rows], known, least)
 
 
-#: What is believed of an effect that `model_errors` has no word on: so many of its usual sizes.
-WIDE: Final = 10.0
 #: Share up to which radii are one.
 _SAME_RADIUS: Final = 0.01
 
@@ -304,25 +302,3 @@ def has_own(term: Term, model: Machine) -> bool:
         return True
     radii_m = [model.radius_m(axis) for axis in range(1, model.axis_count + 1)]
     return max(radii_m) > (1.0 + _SAME_RADIUS) * min(radii_m)
-
-
-def believed_sizes(term: Term, model: Machine, errors: ModelErrorsConfig, modulus_share: float) -> dict[str, float]:
-    """Standard deviations of strengths at the axis of a term before anything is measured, by effect: as a twin believes
-    them; of E `modulus_share`, relative."""
-    if not isinstance(model, ModelParameters):
-        return {}
-    axis, boundary = term.axis or 1, model.boundary
-    tension_N = max(boundary.upstream_tension_N, boundary.downstream_tension_N)
-    strain = tension_N / model.stiffness_N(1)
-    limit_Nm = per_item(model.drives.torque_limit_Nm, axis) if model.drives else WIDE * term.size
-    friction_N = 0.01 * errors.friction_pct * tension_N
-    return {
-        "coulomb_friction": friction_N,
-        "viscous_friction": friction_N / errors.at_speed_m_s,
-        "torque_offset": 0.01 * errors.torque_offset_pct * limit_Nm,
-        "strain_offset": 0.01 * errors.strain_pct * strain,
-        "web_slip": 0.01 * errors.creep_pct / model.stiffness_N(1),
-        "roller_eccentricity": 1e-6 * errors.eccentricity_um,
-        "unbalance": 0.01 * errors.unbalance_pct * tension_N * model.radius_m(axis),
-        "elasticity_shift": modulus_share,
-    }

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from hilbench.diagnosis import machines
-from hilbench.diagnosis import web_torque_checks as torque_checks
 from hilbench.diagnosis.data_cleaning import Repair, mended
 from hilbench.diagnosis.noise import floor
-from hilbench.diagnosis.web_tensions import StationSensor, carriage_forces, station_sensors, tension_channels
+from hilbench.diagnosis.web_line import torque_checks
+from hilbench.diagnosis.web_line.tensions import StationSensor, carriage_forces, station_sensors, tension_channels
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
@@ -134,10 +134,10 @@ class Measured:
 
 def measured_from(recording: Recording, model: Machine, place: str | Path) -> Measured:
     """Check and take what is needed. Raises UnusableInputError, one line, for what can't be diagnosed."""
-    web = not machines.is_lone(model)
+    lone = machines.is_lone(model)
     commands = [machines.speed_channel(model, axis, "_cmd") for axis in range(1, model.axis_count + 1)]
     emulated = any(_LOAD_MOTOR.fullmatch(name) and bool(np.any(v)) for name, v in recording.channels.items())
-    free = web or (emulated and model.drives is not None)  # run with the drives' loops, which know their limits
+    free = not lone or (emulated and model.drives is not None)  # run with the drives' loops, which know their limits
     if TIME not in recording:
         raise UnusableInputError(
             place, f"channel {TIME} missing, expected beside {', '.join(recording.channels)}: {_MAPPED}"
@@ -149,7 +149,7 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
     found = mended(
         recording,
         place,
-        longest_gap_s=_LONGEST_GAP_S if web else float("inf"),
+        longest_gap_s=float("inf") if lone else _LONGEST_GAP_S,
         limits_Nm=_limits_Nm(model) if free else None,
     )
     recording = found.recording
@@ -159,7 +159,7 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
             place,
             "a model with 'stations', expected a recording of a bench that emulates it, with the commands of all axes",
         )
-    if web and model.drives is None:
+    if not lone and model.drives is None:
         raise UnusableInputError(place, "a model with a web and no 'drives', expected the drives' control loops")
     axes = range(1, model.axis_count + 1)
     positions, speeds, torques = (
@@ -172,13 +172,13 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
     )
     wanted = [each[axis] for axis in axes for each in (torques, positions, speeds)]
     tensions: dict[int, str] = {}
-    if web:
+    if lone:
+        _check_lone(recording, model, place)
+    else:
         wanted += commands
         recording.require(_BOUNDARY, place)
         _check_enough(recording, place, commands)
         tensions = tension_channels(recording, model.span_count)
-    else:
-        _check_lone(recording, model, place)
     there = [name for name in wanted if name in recording] + list(tensions.values())
     if other := _other_axis(recording, model):
         there.append(other)
@@ -190,10 +190,10 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
     n = len(recording)
     commanded = free and all(name in recording for name in commands)
     boundary = np.zeros((n, 2))
-    if web:
+    if not lone:
         boundary = np.column_stack([np.asarray(recording[name], np.float64) for name in _BOUNDARY])
     x, v = channels(positions), channels(speeds)
-    integrated = not web and not x
+    integrated = lone and not x
     if integrated:
         x = {axis: cumulative_trapezoid(values, dx=period_s, initial=0) for axis, values in v.items()}
     measured = Measured(

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import TABLE_WIDTH, table_of
+from hilbench.compiled import TABLE_WIDTH, Vector, table_of
 from hilbench.cycle_program import CompiledStage, Function
 from hilbench.plant.measured_motion import HasFollowed
-from hilbench.plant.sample_coherence import Vector
 
 
 class CompiledInStep(ABC):

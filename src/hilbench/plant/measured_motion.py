@@ -18,6 +18,7 @@ from hilbench.compiled import (
     VECTOR,
     Reals,
     Record,
+    Vector,
     compiled,
     entry_point,
     interpreted,
@@ -27,7 +28,7 @@ from hilbench.compiled import (
 )
 from hilbench.cycle_program import CompiledStage
 from hilbench.plant import sample_coherence
-from hilbench.plant.sample_coherence import COHERENCE, OWN, SampleCoherence, Vector, coherent, own_travels
+from hilbench.plant.sample_coherence import COHERENCE, OWN, SampleCoherence, coherent, own_travels
 
 #: Largest delay of a sample, in cycles, that is compensated by prediction; an older one has too little information.
 MOST_PREDICTED_CYCLES = 3.0

@@ -87,8 +87,7 @@ def find_metric(name: str) -> Metric | None:
     numbered = _NUMBERED.fullmatch(name)
     if numbered is None:
         return estimated_errors.find_metric(name)
-    spans = tuple(range(1, max(int(numbered[1]), 2) + 1))  # of the shortest line with so many
-    return web_line.metrics_of(Shape(len(spans) + 1, (), len(spans), spans, spans)).metrics.get(name)
+    return web_line.metrics_of_number(int(numbered[1])).get(name)
 
 
 def kind_of_figures(names: Iterable[str]) -> str:

@@ -15,6 +15,7 @@ from hilbench.runs.scenario import read_scenario
 from hilbench.runs.steps import TableStep
 from hilbench.strict_yaml import Location
 from hilbench.topology import quantities
+from hilbench.topology.web_line_quantities import span_of_set_point
 
 _LOAD_EFFECT = "load.effects."
 
@@ -37,7 +38,7 @@ class State:
     @property
     def set_points_N(self) -> dict[str, float]:
         """Tension set-points, by path."""
-        return {path: value for path, value in self.values.items() if quantities.span_of_set_point(path) is not None}
+        return {path: value for path, value in self.values.items() if span_of_set_point(path) is not None}
 
     @property
     def load_effects(self) -> dict[tuple[str, int | None, int | None], dict[str, float]]:

@@ -21,8 +21,7 @@ from hilbench.runs.set_point_schedule import Move, State, start_of
 from hilbench.runs.web_force_check import beyond_cylinders
 from hilbench.strict_yaml import Location
 from hilbench.topology.parts import Role
-from hilbench.topology.quantities import tension_set_point
-from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span
+from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span, tension_set_point
 
 #: A difference that makes no other operating point.
 _SAME_SPEED_M_S = 0.05

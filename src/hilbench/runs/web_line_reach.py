@@ -9,7 +9,8 @@ from hilbench.bench.machines.ranges import operator_ranges
 from hilbench.errors import UnusableInputError
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.reach import GENTLE, HOLD_S, OF_LIMIT, SLOW, STEEP, Reach, highest_of_steps
-from hilbench.topology.quantities import LINE_SPEED, tension_set_point
+from hilbench.topology.quantities import LINE_SPEED
+from hilbench.topology.web_line_quantities import tension_set_point
 
 #: The second tension over the first, and the least that tells one from the other.
 _SECOND, _LEAST_SECOND = 1.25, 1.1

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 from hilbench.bench.tasks.emulated_web import emulated_web
 from hilbench.runs.config import ExperimentConfig
-from hilbench.topology.quantities import LINE_SPEED, tension_set_point
-from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, is_modulus, moduli
+from hilbench.topology.quantities import LINE_SPEED
+from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, is_modulus, moduli, tension_set_point
 
 
 def start_values(config: ExperimentConfig) -> dict[str, float]:

@@ -36,7 +36,7 @@ from hilbench.topology.blocks import (
 )
 from hilbench.topology.misfits import misfits, one_node_misfit, whole_misfits
 from hilbench.topology.parts import DriveConfig, LoadMotorConfig, Part, PartName, Role
-from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE, fast_path_places, parse_effect_path, path_problem
+from hilbench.topology.quantities import MODEL_CHANGE, fast_path_places, parse_effect_path, path_problem
 from hilbench.topology.safety import SafetyConfig
 from hilbench.topology.signal_kinds import Signal
 from hilbench.topology.signals import Shape, signals_of
@@ -49,6 +49,7 @@ from hilbench.topology.web_line_config import (
     set_point_controls,
     torqued_reels,
 )
+from hilbench.topology.web_line_quantities import TENSION_PROBE
 
 #: Share of a drive's torque limit that a quick stop may take: the rest is for friction and the pull of the web.
 _STOPPING_SHARE = 0.8

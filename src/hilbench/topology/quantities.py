@@ -38,9 +38,6 @@ from hilbench.topology.signals import Shape, smallest_shapes
 from hilbench.topology.web_line_positions import FEED, FORCE_SET_POINT, SET_POINT, position_quantity, positions
 
 LINE_SPEED = "line_speed_m_s"
-TENSION_SET_POINT = "tension_control.set_point_N"
-TENSION_PROBE = "tension_control.probe"
-WEB_BROKEN = "load.web.broken"
 MODEL_CHANGE = "twin.model_change"
 SPEED = "speed_rad_s"
 SHAFT_INERTIA = "load.shaft.inertia_kg_m2"
@@ -93,7 +90,6 @@ def single_paths() -> Mapping[str, Permitted]:
     return {path: values for each in recorded("topology").values() for path, values in each.QUANTITIES.items()}
 
 
-_NUMBERED_SET_POINT = re.compile(r"tension_control\.span([1-9]\d{0,3})\.set_point_N")
 _OF_POSITIONS = {
     SET_POINT: Permitted(-100.0, 100.0, "m"),
     FEED: Permitted(0.0, 1.0, "1", only_ends=True),
@@ -104,22 +100,9 @@ _MOST_NEAR = 3
 _PART = re.compile(r"([a-z]+)([1-9]\d{0,3})")
 
 
-def tension_set_point(number: str) -> str:
-    """The path of the set-point of a span's tension; `number`: that of the span as names have it (`Shape.numbered`)."""
-    return f"tension_control.span{number}.set_point_N" if number else TENSION_SET_POINT
-
-
-def span_of_set_point(path: str) -> str | None:
-    """The number of the span in the path of a set-point of a tension, "" where it has none; None for another path."""
-    found = _NUMBERED_SET_POINT.fullmatch(path)
-    return found[1] if found else "" if path == TENSION_SET_POINT else None
-
-
 def is_simple_path(path: str) -> bool:
     """True if a quantity is none of an effect, on any machine."""
-    if path in single_paths() or _NUMBERED_SET_POINT.fullmatch(path) is not None:
-        return True
-    return numbered.is_modulus(path) or position_quantity(path) != ""
+    return path in single_paths() or numbered.is_numbered(path) or position_quantity(path) != ""
 
 
 @dataclass(frozen=True)
@@ -193,10 +176,7 @@ def _expected(text: str) -> str:
 
 def fast_path_places(kind: str, shape: Shape) -> tuple[str, ...]:
     """The quantities of a machine, without those of its effects."""
-    several = {
-        TENSION_SET_POINT: [tension_set_point(shape.numbered(span)) for span in shape.controlled],
-        numbered.YOUNGS_MODULUS: [numbered.YOUNGS_MODULUS, *numbered.moduli(shape)],
-    }
+    several = numbered.several(shape)
     paths_of_kind = [
         path for known in machine_part(kind, "topology").QUANTITIES for path in several.get(known, [known])
     ]
@@ -256,8 +236,7 @@ def permitted(path: str) -> Permitted:
     if is_simple_path(path):
         if position := position_quantity(path):
             return _OF_POSITIONS[position]
-        like = numbered.YOUNGS_MODULUS if numbered.is_modulus(path) else TENSION_SET_POINT
-        return single_paths().get(path) or single_paths()[like]
+        return single_paths().get(path) or single_paths()[numbered.without_number(path)]
     of = parse_effect_path(path)
     parameter = find_effect(of.effect, of.kind).parameter(of.parameter)
     return Permitted(parameter.lower, parameter.upper, parameter.unit)

@@ -11,17 +11,10 @@ from hilbench.topology.blocks import LoadShaftConfig, TwinConfig
 from hilbench.topology.main_quantities.web_line import SMALLEST as SMALLEST
 from hilbench.topology.main_quantities.web_line import main_quantities as main_quantities
 from hilbench.topology.process_data.web_line import process_data as process_data
-from hilbench.topology.quantities import (
-    LINE_SPEED,
-    MODEL_CHANGE,
-    TENSION_PROBE,
-    TENSION_SET_POINT,
-    WEB_BROKEN,
-    Permitted,
-)
+from hilbench.topology.quantities import LINE_SPEED, MODEL_CHANGE, Permitted
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_config import controller_misfits, estimate_misfits, line_misfits, rest_misfit
-from hilbench.topology.web_line_quantities import YOUNGS_MODULUS
+from hilbench.topology.web_line_quantities import TENSION_PROBE, TENSION_SET_POINT, WEB_BROKEN, YOUNGS_MODULUS
 from hilbench.topology.web_line_shape import forces_at_start, sensors_at_start, web_line_shape
 from hilbench.topology.web_line_signals import WEB_LINE
 

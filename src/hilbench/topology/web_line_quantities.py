@@ -1,4 +1,4 @@
-"""Paths of the quantities that each span of an emulated web has, on a line of several."""
+"""Paths of the quantities of a web line, and of those that each of its spans has on a line of several."""
 
 from __future__ import annotations
 
@@ -6,10 +6,43 @@ import re
 
 from hilbench.topology.signals import Shape
 
+TENSION_SET_POINT = "tension_control.set_point_N"
+TENSION_PROBE = "tension_control.probe"
+WEB_BROKEN = "load.web.broken"
 #: E of the emulated web, in all spans.
 YOUNGS_MODULUS = "load.web.youngs_modulus_Pa"
 
+_NUMBERED_SET_POINT = re.compile(r"tension_control\.span([1-9]\d{0,3})\.set_point_N")
 _MODULUS = re.compile(r"load\.web\.span([1-9]\d{0,3})\.youngs_modulus_Pa")
+
+
+def tension_set_point(number: str) -> str:
+    """The path of the set-point of a span's tension; `number`: that of the span as names have it (`Shape.numbered`)."""
+    return f"tension_control.span{number}.set_point_N" if number else TENSION_SET_POINT
+
+
+def span_of_set_point(path: str) -> str | None:
+    """The number of the span in the path of a set-point of a tension, "" where it has none; None for another path."""
+    found = _NUMBERED_SET_POINT.fullmatch(path)
+    return found[1] if found else "" if path == TENSION_SET_POINT else None
+
+
+def is_numbered(path: str) -> bool:
+    """True if a path has the number of a span."""
+    return _NUMBERED_SET_POINT.fullmatch(path) is not None or is_modulus(path)
+
+
+def without_number(path: str) -> str:
+    """Path of the quantity of which a span has its own."""
+    return YOUNGS_MODULUS if is_modulus(path) else TENSION_SET_POINT
+
+
+def several(shape: Shape) -> dict[str, list[str]]:
+    """Paths of the parts of a line that have a quantity, by its path without a number."""
+    return {
+        TENSION_SET_POINT: [tension_set_point(shape.numbered(span)) for span in shape.controlled],
+        YOUNGS_MODULUS: [YOUNGS_MODULUS, *moduli(shape)],
+    }
 
 
 def modulus_of_span(span: int) -> str:

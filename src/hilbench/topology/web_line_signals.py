@@ -124,5 +124,5 @@ WEB_LINE: Final = (
 
 
 def tension_loop_words(number: str) -> str:
-    """Name of a span's tension loop in messages; `number` as of `quantities.tension_set_point`."""
+    """Name of a span's tension loop in messages; `number` as of `web_line_quantities.tension_set_point`."""
     return f"tension loop of span {number}" if number else "tension loop"

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from hilbench.compiled import Vector
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.offline import Simulation, simulate
 from hilbench.plant.web_line.inverse import required_torque_Nm
-from hilbench.plant.web_line.layout import Vector
 
 from .models import axis, effect
 

@@ -28,11 +28,6 @@ def model_from(path: Path) -> Machine:
     return machine
 
 
-def machine_of(config: ExperimentConfig, path: Path) -> ModelParameters:
-    """The machine of the config in this file, for what knows web lines only. Raises UnusableInputError."""
-    return web_line_of(config.machine, path)
-
-
 def web_line_of(machine: Machine, path: Path) -> ModelParameters:
     """The machine read from this file, for what knows web lines only. Raises UnusableInputError."""
     if isinstance(machine, ModelParameters):

@@ -78,9 +78,9 @@ def commission(
     from hilbench.apps.cli.progress import ProgressDisplay
     from hilbench.apps.history.entries import keep_commissioning
     from hilbench.bench.lifecycle.participants import Participants
-    from hilbench.diagnosis.bench_gap import completed
     from hilbench.diagnosis.commissioning import commissioned
     from hilbench.diagnosis.emulated import emulation_of
+    from hilbench.diagnosis.web_line.bench_gap import completed
     from hilbench.results.recording import read_recording
     from hilbench.results.run import run_experiment
     from hilbench.runs.commissioning import commissioning_plan

@@ -113,11 +113,11 @@ class _Found:
 def _of_a_web(
     config: ExperimentConfig, config_path: Path, recording: Recording, place: Path, method: str | None
 ) -> _Found:
-    from hilbench.apps.cli.model_option import machine_of
+    from hilbench.apps.cli.model_option import web_line_of
     from hilbench.estimation.web_line.offline import run_offline
-    from hilbench.results.synchronization import measurements_of, methods_of, require_one_span
+    from hilbench.results.web_line_synchronization import measurements_of, methods_of, require_one_span
 
-    model = machine_of(config, config_path)
+    model = web_line_of(config.machine, config_path)
     require_one_span(model, config_path)
     twin = config.twin
     if method is not None:

@@ -16,12 +16,12 @@ from hilbench.apps.cli.progress import ProgressDisplay
 from hilbench.apps.cli.tables import table
 from hilbench.apps.diagnose.page import Found, write_diagnosis_page
 from hilbench.apps.history.entries import keep_diagnosis
-from hilbench.diagnosis.bench_gap import LiveGap, live_gap, run_bench
 from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable, diagnose
 from hilbench.diagnosis.emulated import emulation_beside, emulation_of
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.next_experiment import Step, proposed, write_steps
+from hilbench.diagnosis.web_line.bench_gap import LiveGap, live_gap, run_bench
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
 from hilbench.plant.model_file import write_model

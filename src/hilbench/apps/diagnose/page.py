@@ -13,9 +13,9 @@ from hilbench.apps.report.chart import BLUE, VERMILLION, Chart, Curve, Mark
 from hilbench.apps.report.page import number, write_page
 from hilbench.apps.report.plots import Drawing, DrawnAxes, Picture, drawn
 from hilbench.apps.report.reduce import moving_average
-from hilbench.diagnosis.bench_gap import LiveGap
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable
 from hilbench.diagnosis.next_experiment import NextExperiment
+from hilbench.diagnosis.web_line.bench_gap import LiveGap
 from hilbench.errors import BenchFaultError
 
 _SENTENCES = {

@@ -268,7 +268,7 @@ class _Average:
         white = np.linalg.solve(lower, np.broadcast_to(columns, (len(grid), *columns.shape)))
         ways = np.where(self._daily > 0.0, len(_CORRELATED_D), 1)
         # Probability of a variance model before the data are seen, and what the determinant adds.
-        self._log_weight = -np.sum(np.log(np.diagonal(lower, axis1=1, axis2=2)), axis=1)
+        self._log_weight = -np.sum(np.log(np.einsum("nii->ni", lower)), axis=1)
         self._log_weight -= self._daily / _DAILY_SCALE + np.log(ways)
         self._gram = white.transpose(0, 2, 1) @ white  # of value, 1, time, candidates
         self._chosen = self._search()
@@ -281,7 +281,7 @@ class _Average:
         mean = np.einsum("nij,nj->ni", inverse, seen)
         with_each = gram[:, own, 3:]
         mixed = inverse @ with_each
-        left = np.diagonal(gram, axis1=1, axis2=2)[:, 3:] + size**-2.0 - np.sum(with_each * mixed, axis=1)
+        left = np.einsum("nii->ni", gram)[:, 3:] + size**-2.0 - np.sum(with_each * mixed, axis=1)
         towards = gram[:, 3:, 0] - np.einsum("nik,ni->nk", with_each, mean)
         quality = gram[:, 0, 0] - np.sum(seen * mean, axis=1)
         alone = self._log_weight - 0.5 * (np.linalg.slogdet(normal)[1] + quality)

@@ -31,7 +31,8 @@ from hilbench.results.what_if import Question, what_if
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.main_quantities.of_kind import find_quantity
 from hilbench.topology.main_quantities.quantity import MainQuantity
-from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE
+from hilbench.topology.quantities import MODEL_CHANGE
+from hilbench.topology.web_line_quantities import TENSION_PROBE
 
 #: How long the bench may take, s; in lockstep it answers with its next cycle.
 PATIENCE_S: Final = 3.0

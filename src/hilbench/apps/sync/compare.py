@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from hilbench.apps.cli.columns import report, report_section, report_unknown
-from hilbench.apps.cli.model_option import machine_of, model_from, web_line_of
+from hilbench.apps.cli.model_option import model_from, web_line_of
 from hilbench.apps.cli.options import print_json
 from hilbench.apps.cli.tables import table
 from hilbench.apps.sweep.sweep import Row, Sweep
@@ -21,7 +21,7 @@ from hilbench.estimation.web_line.offline import remarks
 from hilbench.files import make_folder
 from hilbench.results.recording import Recording, check_recording, read_recording, read_section
 from hilbench.results.run_folder import RunFolder
-from hilbench.results.synchronization import (
+from hilbench.results.web_line_synchronization import (
     SETTLED_AFTER_S,
     Comparison,
     compare_methods,
@@ -45,7 +45,7 @@ def sync_runs_command(config_path: Path, methods: str, out: Path | None, jobs: i
     chosen = list(methods_of(methods))
     folder = out or Path("sync")
     config, _ = load(config_path)
-    require_one_span(machine_of(config, config_path), config_path)
+    require_one_span(web_line_of(config.machine, config_path), config_path)
     runs = [{"twin.estimate": f"[{{method: {name}}}]"} for name in chosen]
     for name, changes in zip(chosen, runs, strict=True):
         if name == _PUBLISHED:
@@ -64,7 +64,7 @@ def sync_runs_command(config_path: Path, methods: str, out: Path | None, jobs: i
         if row.run is None or row.exit_code not in (EXIT_PASSED, EXIT_CRITERION_FAILED):
             raise BenchFaultError(f"{name}: the run ended with exit code {row.exit_code}: {row.said}")
         recordings[name] = read_recording(RunFolder(folder / row.run).recording)
-    comparison = compare_runs(machine_of(config, config_path), recordings)
+    comparison = compare_runs(web_line_of(config.machine, config_path), recordings)
     _show(comparison, write_comparison(comparison, f"Synchronizers on {config_path.name}", folder), as_json)
 
 

@@ -23,7 +23,7 @@ from hilbench.apps.report.chart import (
 from hilbench.apps.report.page import DASH, number, write_page
 from hilbench.apps.report.plots import Picture, drawn
 from hilbench.results.recording import write_recording
-from hilbench.results.synchronization import INTERVAL, Comparison, MethodResult, estimates
+from hilbench.results.web_line_synchronization import INTERVAL, Comparison, MethodResult, estimates
 from hilbench.runs.figures import ESTIMATE_BAND
 
 #: The page, and beside it the estimates of all methods over time.

@@ -13,23 +13,17 @@ from hilbench.topology.quantities import (
     SHAFT_COULOMB_FRICTION,
     SHAFT_INERTIA,
     SPEED,
-    TENSION_PROBE,
-    TENSION_SET_POINT,
     permitted,
 )
-from hilbench.topology.web_line_quantities import YOUNGS_MODULUS
 
 #: Sub-index of 2200h, given once and for all, and name in the EDS file of each quantity, by path.
 OPERATOR_OBJECTS: Final = {
     LINE_SPEED: (1, "Line speed [m/s]"),
-    TENSION_SET_POINT: (2, "Tension set-point [N]"),
-    YOUNGS_MODULUS: (3, "Modulus of the emulated web [Pa]"),
     SPEED: (4, "Speed of the shaft [rad/s]"),
     SHAFT_INERTIA: (5, "Inertia of the emulated shaft [kg.m2]"),
     SHAFT_COULOMB_FRICTION: (6, "Dry friction of the emulated shaft [N.m]"),
-    TENSION_PROBE: (7, "Probe of the tension [0 or 1]"),
     MODEL_CHANGE: (8, "Proposed change of the twin's model: 1 go on with it, 0 do not"),
-    **web_line_ranges.OF_EACH_SPAN,
+    **web_line_ranges.OBJECTS,
 }
 
 

@@ -5,16 +5,25 @@ from __future__ import annotations
 from typing import Final
 
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.quantities import LINE_SPEED, MODEL_CHANGE, TENSION_PROBE, tension_set_point
+from hilbench.topology.quantities import LINE_SPEED, MODEL_CHANGE
 from hilbench.topology.safety import LARGEST_RATIO
-from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span
+from hilbench.topology.web_line_quantities import (
+    TENSION_PROBE,
+    TENSION_SET_POINT,
+    YOUNGS_MODULUS,
+    modulus_of_span,
+    tension_set_point,
+)
 
 _FIRST_SET_POINT: Final = 15  #: sub-index of 2200h before that of span 1 on a line of several spans
 _FIRST_MODULUS: Final = 31  #: sub-index before that of E of span 1
 _MOST_SPANS: Final = 16  #: of how many spans there is an object of each
 
 #: Sub-index of 2200h, given once and for all, and name in the EDS file, by path.
-OF_EACH_SPAN: Final = {
+OBJECTS: Final = {
+    TENSION_SET_POINT: (2, "Tension set-point [N]"),
+    YOUNGS_MODULUS: (3, "Modulus of the emulated web [Pa]"),
+    TENSION_PROBE: (7, "Probe of the tension [0 or 1]"),
     **{
         tension_set_point(str(span)): (_FIRST_SET_POINT + span, f"Tension set-point of span {span} [N]")
         for span in range(1, _MOST_SPANS + 1)

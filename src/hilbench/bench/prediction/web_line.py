@@ -25,9 +25,9 @@ from hilbench.prediction.plan import Asked, Move
 from hilbench.prediction.tally import Offsets
 from hilbench.prediction.web_line.futures import LineControl, LineCourses, LineFutures, LinePresent
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.quantities import LINE_SPEED, tension_set_point
+from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample
-from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span
+from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span, tension_set_point
 
 Array = NDArray[np.float64]
 

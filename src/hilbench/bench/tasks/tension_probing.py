@@ -26,9 +26,9 @@ from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
 from hilbench.bench.tasks.tension_trust import TwinSignals
 from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation
-from hilbench.topology.quantities import TENSION_PROBE
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import ProbingConfig
+from hilbench.topology.web_line_quantities import TENSION_PROBE
 from hilbench.twin.virtual_io import RUNNING
 
 #: Slower than this a roller may turn back within a probe, and dry friction with it.

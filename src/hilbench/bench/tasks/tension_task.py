@@ -23,9 +23,9 @@ from hilbench.control.web_line.swing_damping import SwingDamping
 from hilbench.control.web_line.tension import CONTROLLER
 from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.exchange.exchange import Inputs
-from hilbench.topology.quantities import tension_set_point
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
+from hilbench.topology.web_line_quantities import tension_set_point
 from hilbench.topology.web_line_signals import tension_loop_words
 
 

@@ -14,10 +14,10 @@ from hilbench.cycle_program import python_stage
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.topology.quantities import tension_set_point
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_config import ReelControlConfig, span_beside_reel
+from hilbench.topology.web_line_quantities import tension_set_point
 
 
 class ReelTorqueTask(OneSetPoint, CyclicTask):

@@ -13,11 +13,11 @@ from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import Reals, Record, compiled, inlined, record_type
+from hilbench.compiled import Reals, Record, Vector, compiled, inlined, record_type
 from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.web_line import kernel, laws, line_kernel, motion, records, splice_laws
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.layout import Layout
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.line_vectors import LineVectors, arrays
 from hilbench.plant.web_line.parameters import ModelParameters

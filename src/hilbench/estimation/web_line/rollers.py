@@ -16,11 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import Reals, Reals2, compiled
+from hilbench.compiled import Reals, Reals2, Vector, compiled
 from hilbench.estimation.web_line.balance import mass_at_web_kg, measured_force_N
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 
 

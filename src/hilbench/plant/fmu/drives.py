@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from hilbench.compiled import VECTOR, entry_point
+from hilbench.compiled import VECTOR, Vector, entry_point
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.web_line import records
-from hilbench.plant.web_line.layout import RING, S_COUNT, Vector
+from hilbench.plant.web_line.layout import RING, S_COUNT
 
 
 #: sample(parameters, state, inputs): one sample time of all drives on the motion in the state; returns the mean sum of

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from hilbench.compiled import Vector
 from hilbench.plant.fmu import drives
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.fmu.effects import WithoutEffects
@@ -18,7 +19,6 @@ from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.layout import PARAMETERS
 from hilbench.plant.servo_axis.parameters import ServoRigParameters
 from hilbench.plant.servo_axis.shaft import ServoAxis, ServoRig, Shaft
-from hilbench.plant.web_line.layout import Vector
 
 
 class FmuMechanics(WithoutEffects, Shaft):

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import table_of
+from hilbench.compiled import Vector, table_of
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.sampling import on_all_cores, samples_per
@@ -25,7 +25,6 @@ from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.plant.servo_axis.tracking_filter import ORDER, gains, transition
 from hilbench.plant.web_line import layout as line
 from hilbench.plant.web_line import simulation
-from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.shaft_load import ShaftLoad
 
 _INERTIA = lay.place("inertia_mismatch")
@@ -78,7 +77,7 @@ def simulate_emulated(
     rigs, emulated = _rigs(believed, many), _emulated(many)
     # In steady motion; the motors build up their torques from there.
     states = np.array([lay.new_state(stand, *start) for stand in rigs])
-    layout = Layout.of(believed)
+    layout = line.Layout.of(believed)
     inputs = layout.new_inputs()
     layout.motor_inputs(inputs).mode = MotorMode.VELOCITY, MotorMode.TORQUE
     samples = samples_per(bench.cycle_s, believed.item(lay.P_SAMPLE_TIME_S))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, entry_point, record_at, table_of
+from hilbench.compiled import COUNT, TABLE, Reals, Vector, Wholes, arrays_in, entry_point, record_at, table_of
 from hilbench.plant.in_step import CompiledInStep
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.measured_motion import (
@@ -30,7 +30,6 @@ from hilbench.plant.servo_axis.effects import IDS, emulated_effect_problem
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.servo_axis.shaft import Shaft
 from hilbench.plant.servo_axis.tracking_filter import ORDER, TrackingFilter, gains, transition
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.shaft_load import LAW, ShaftLoad, follow, put_torque
 
 #: Time constant of the acceleration filter, in bus cycles: longer ones allow more inertia, and emulate it worse.

@@ -12,12 +12,12 @@ from typing import Final
 
 import numpy as np
 
+from hilbench.compiled import Vector
 from hilbench.plant.interface import Quantity
 from hilbench.plant.parameters import LoadMotorParameters
 from hilbench.plant.servo_axis.effects import KIND, find
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line import layout as line
-from hilbench.plant.web_line.layout import Layout, Vector
 
 #: Offsets of the rows of the axis and its motor.
 AXIS: Final = line.W_SIZE
@@ -79,7 +79,7 @@ def pack(model: ServoAxisParameters, load_motor: LoadMotorParameters | None = No
     load_motor: a second motor on the shaft. Its rotor's inertia adds to that of the model.
     """
     drives, shaft = model.drives, model.shaft
-    layout = Layout(1, 1 if load_motor is None else 2, 0)
+    layout = line.Layout(1, 1 if load_motor is None else 2, 0)
     parameters = line.new_parameters(layout, drives.sample_time_s if drives else 0.001, substeps, KIND)
     row, motors = layout.axis_rows(parameters)[0], layout.motor_rows(parameters)
     row.number = row.radius_m = row.web_load = 1.0

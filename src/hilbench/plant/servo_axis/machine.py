@@ -22,7 +22,7 @@ SERVO_AXIS: Final = MachineDescription(
     page="hilbench.apps.pages.live.machines.servo_axis",
     prediction="hilbench.bench.prediction.servo_axis",
     diagnosis="hilbench.diagnosis.servo_axis",
-    live_diagnosis="hilbench.live.shaft:machine",
+    live_diagnosis="hilbench.live.servo_axis:machine",
     commissioning="hilbench.runs.commissioning:reach_of_shaft",
     fmu_export="hilbench.plant.fmu.export.of_kind:of_axis",
 )

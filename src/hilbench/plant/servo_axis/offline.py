@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hilbench.compiled import Vector
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.servo_axis.layout import U_TORQUE_NM
 from hilbench.plant.web_line import offline as line
-from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.layout import Layout
 
 
 @dataclass(frozen=True, slots=True)

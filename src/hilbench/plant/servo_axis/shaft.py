@@ -7,7 +7,7 @@ from math import isfinite
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, entry_point
+from hilbench.compiled import REAL, VECTOR, Vector, entry_point
 from hilbench.plant.interface import Motor, PlantDescription, Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import LoadMotorParameters
@@ -17,7 +17,7 @@ from hilbench.plant.servo_axis.effects import IDS, KIND
 from hilbench.plant.servo_axis.layout import PARAMETERS
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigParameters
 from hilbench.plant.web_line import laws, records
-from hilbench.plant.web_line.layout import Vector, refresh_modes
+from hilbench.plant.web_line.layout import refresh_modes
 from hilbench.plant.web_line.simulated import SimulatedLine
 
 _TORQUE = Quantity("external_torque_Nm", "N·m", "torque on the shaft from outside, forward")

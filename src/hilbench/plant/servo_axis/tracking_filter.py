@@ -12,7 +12,7 @@ from math import exp, factorial
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.plant.web_line.layout import Vector
+from hilbench.compiled import Vector
 from hilbench.plant.web_line.shaft_load import follow
 
 Matrix = NDArray[np.float64]

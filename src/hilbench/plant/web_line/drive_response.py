@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hilbench.compiled import CUBE, FLAG, MATRIX, entry_point
-from hilbench.plant.web_line.layout import Vector
+from hilbench.compiled import CUBE, FLAG, MATRIX, Vector, entry_point
 
 
 @entry_point(CUBE, CUBE, MATRIX, MATRIX, MATRIX, MATRIX, FLAG)

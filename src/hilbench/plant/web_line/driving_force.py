@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from hilbench.compiled import Vector
 from hilbench.plant.web_line import laws
-from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.layout import Layout
 
 
 def driving_force_N(p: Vector, axis: int, torque_Nm: float, x_m: float, v_m_s: float) -> float:

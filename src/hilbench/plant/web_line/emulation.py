@@ -11,13 +11,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import record_at, table_of
+from hilbench.compiled import Vector, record_at, table_of
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.sampled_shaft import emulation_delay_s
 from hilbench.plant.sampling import on_all_cores, samples_per
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_follower, line_kernel, simulation
-from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.layout import Layout
 from hilbench.plant.web_line.offline import Simulation, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, pack_rig

@@ -6,12 +6,11 @@ from math import pi
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, Record, entry_point, inlined
+from hilbench.compiled import REAL, VECTOR, Record, Vector, entry_point, inlined
 from hilbench.plant import motor_laws as motors
 from hilbench.plant.hysteresis import LEAST_PRESLIDING, friction_direction, wound
 from hilbench.plant.motor_laws import value_at
 from hilbench.plant.web_line import laws, records
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.records import LineArrays
 
 

@@ -18,12 +18,11 @@ both s. Positions, speeds, masses and forces are those at the web. Stepping func
 
 from __future__ import annotations
 
-from hilbench.compiled import COUNT, VECTOR, compiled, entry_point, inlined, merged, noinline
+from hilbench.compiled import COUNT, VECTOR, Vector, compiled, entry_point, inlined, merged, noinline
 from hilbench.plant import drive_loops as loops
 from hilbench.plant import motor_laws as motors
 from hilbench.plant.web_line import events, laws, motion, records, reels, splice_laws
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.records import LineArrays
 
 

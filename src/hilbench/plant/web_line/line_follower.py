@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hilbench.compiled import table_of
+from hilbench.compiled import Vector, table_of
 from hilbench.plant.effect import EffectPlace
 from hilbench.plant.effects import effects_of
 from hilbench.plant.in_step import CompiledInStep
@@ -23,7 +23,6 @@ from hilbench.plant.interface import PlantDescription, Quantity, checked_name
 from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_cycle, line_kernel
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_cycle import LineCycle, LoadedLine
 from hilbench.plant.web_line.modes import needed_substeps

@@ -12,13 +12,13 @@ from math import sin
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, entry_point
+from hilbench.compiled import MATRIX, REAL, VECTOR, Vector, entry_point
 from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.sampling import on_all_cores
 from hilbench.plant.web_line import laws, motion, records, splice_laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.inverse import reported_torque_Nm, true_motion
-from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.layout import Layout
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]

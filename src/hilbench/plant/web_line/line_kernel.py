@@ -19,6 +19,7 @@ from hilbench.compiled import (
     Reals,
     Reals2,
     Record,
+    Vector,
     Wholes,
     arrays_in,
     compiled,
@@ -31,7 +32,6 @@ from hilbench.compiled import records as array_of
 from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.web_line import kernel, laws, line_vectors, motion, records, reels, splice_laws
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.records import LineArrays
 

@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, INDICES, VECTOR, Reals, compiled, entry_point, inlined, merged
+from hilbench.compiled import COUNT, INDICES, VECTOR, Reals, Vector, compiled, entry_point, inlined, merged
 from hilbench.plant.web_line import kernel, laws, records
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.records import LineArrays
 
 

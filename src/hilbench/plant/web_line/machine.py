@@ -20,8 +20,8 @@ WEB_LINE: Final = MachineDescription(
     panels="hilbench.apps.report.machines.web_line:panels_of",
     page="hilbench.apps.pages.live.machines.web_line",
     prediction="hilbench.bench.prediction.web_line",
-    diagnosis="hilbench.diagnosis.web_line_machine",
-    live_diagnosis="hilbench.live.line:machine",
+    diagnosis="hilbench.diagnosis.web_line.machine",
+    live_diagnosis="hilbench.live.web_line:machine",
     commissioning="hilbench.runs.web_line_reach:reach_of_line",
     fmu_export="hilbench.plant.fmu.export.of_kind:of_line",
 )

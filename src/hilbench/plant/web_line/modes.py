@@ -6,8 +6,9 @@ from math import ceil
 
 import numpy as np
 
+from hilbench.compiled import Vector
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.layout import Layout
 from hilbench.plant.web_line.parameters import ModelParameters
 
 #: Largest angle of the fastest mode per integration step; Runge-Kutta's error is then below 1e-4 a period.

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hilbench.compiled import Vector
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.sampling import on_all_cores, samples_per
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import simulation
-from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.layout import Layout
 from hilbench.plant.web_line.parameters import ModelParameters
 
 

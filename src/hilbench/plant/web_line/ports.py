@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hilbench.compiled import Vector
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import DRIVE, Layout, Vector, column
+from hilbench.plant.web_line.layout import DRIVE, Layout, column
 from hilbench.plant.web_line.rig_cycle import SHOWN
 
 

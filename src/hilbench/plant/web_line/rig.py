@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from hilbench.block import Block
+from hilbench.compiled import Vector
 from hilbench.plant.effect import EffectPlace
 from hilbench.plant.effects import effect_problem, effects_of
 from hilbench.plant.interface import Quantity, checked_name
@@ -21,7 +22,7 @@ from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, per_item
 from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.layout import Layout
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import KIND, SimulatedLine
 

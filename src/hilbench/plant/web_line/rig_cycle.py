@@ -7,11 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, Reals, Reals2, Wholes, arrays_in, compiled, entry_point
+from hilbench.compiled import COUNT, TABLE, Reals, Reals2, Vector, Wholes, arrays_in, compiled, entry_point
 from hilbench.cycle_program import CONTINUE
 from hilbench.plant.sensor_rows import ALWAYS_FIRST
 from hilbench.plant.web_line import kernel, records
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors, arrays
 
 Table = NDArray[np.int64]

@@ -14,9 +14,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers, table_of
+from hilbench.compiled import COUNT, TABLE, Vector, entry_point, floats, integers, table_of
 from hilbench.plant.parameters import per_item
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_follower import LineFollower, PerturbedCopies
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans

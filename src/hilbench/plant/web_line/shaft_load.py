@@ -14,9 +14,8 @@ from typing import Annotated, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, REAL, VECTOR, Reals, Reals2, compiled, entry_point, inlined, record_type
+from hilbench.compiled import MATRIX, REAL, VECTOR, Reals, Reals2, Vector, compiled, entry_point, inlined, record_type
 from hilbench.plant.web_line import kernel, laws, records
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.records import LineArrays
 
 Matrix = NDArray[np.float64]

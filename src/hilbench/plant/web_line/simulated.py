@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.compiled import Vector
 from hilbench.cycle_program import CompiledStage
 from hilbench.plant.drive_loops import OFF
 from hilbench.plant.effect import Effect, MachineKind
@@ -26,7 +27,7 @@ from hilbench.plant.sensor_rows import chained_with_noise, silence
 from hilbench.plant.sensors import SensorNoise, SensorParameters
 from hilbench.plant.web_line import kernel, rig_cycle
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.layout import Layout
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.ports import read_ports, write_ports
 

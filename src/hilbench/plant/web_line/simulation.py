@@ -20,6 +20,7 @@ from hilbench.compiled import (
     VECTOR,
     Reals,
     Reals2,
+    Vector,
     Wholes,
     arrays_in,
     compiled,
@@ -29,7 +30,6 @@ from hilbench.compiled import (
 from hilbench.compiled import records as array_of
 from hilbench.plant.web_line import kernel, line_kernel, line_vectors, records, reels
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_kernel import HISTORY, ROLLER, FollowedLine
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.records import LineArrays

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import REAL, VECTOR, entry_point, record_at, record_in
+from hilbench.compiled import REAL, VECTOR, Vector, entry_point, record_at, record_in
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import splice_laws
-from hilbench.plant.web_line.layout import WEB_PIECES, Vector
+from hilbench.plant.web_line.layout import WEB_PIECES
 
 
 class Piece(NamedTuple):

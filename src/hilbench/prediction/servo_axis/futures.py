@@ -19,7 +19,6 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigPa
 from hilbench.plant.servo_axis.shaft import look as look_at
 from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.plant.web_line import layout as line
-from hilbench.plant.web_line.layout import Layout
 from hilbench.prediction.draws import normal_draws
 from hilbench.prediction.futures import Futures
 from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
@@ -101,7 +100,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         self._kp = kp * (1.0 + self._p.item(lay.place("drive_gain")))
         self._real = lay.pack(real.axis, real.load_motor)
         self._steepest = steepest_Nm_s_per_rad(self._real, emulation_delay_s(sampled_shaft(real, cycle_s)))
-        self._layout = Layout.of(self._p)
+        self._layout = line.Layout.of(self._p)
         self._inputs = self._layout.new_inputs()
         self._layout.motor_inputs(self._inputs).mode = MotorMode.VELOCITY
 

@@ -18,7 +18,6 @@ from hilbench.compiled import COUNT, TABLE, Reals, Reals2, arrays_in, compiled, 
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.web_line import kernel, records
-from hilbench.plant.web_line.records import LineArrays
 from hilbench.plant.web_line.shaft_load import load_torque_Nm
 from hilbench.prediction.judging import TallyVectors, keep, see
 
@@ -65,7 +64,7 @@ class ShaftFuture(NamedTuple):
 
 
 @compiled
-def _run(a: ShaftFuture, line: LineArrays, b: int) -> None:
+def _run(a: ShaftFuture, line: records.LineArrays, b: int) -> None:
     """Run future b to its end."""
     row, every, s, w = 0, int(a.figures.every), line.s, line.w
     until_row = every

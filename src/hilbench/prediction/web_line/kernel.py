@@ -22,6 +22,7 @@ from hilbench.compiled import (
     TABLE,
     Reals,
     Reals2,
+    Vector,
     Wholes,
     arrays_in,
     compiled,
@@ -38,7 +39,6 @@ from hilbench.control.web_line.strain_trajectory import TRAJECTORY, advance, vel
 from hilbench.control.web_line.swing_damping import DAMPING, damp, follow_modulus
 from hilbench.control.web_line.tension import CONTROLLER, control
 from hilbench.plant.web_line import kernel, laws, records
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.records import LineArrays
 from hilbench.prediction.judging import TallyVectors, keep, see
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Final, TypeVar
 
@@ -173,6 +173,12 @@ def metrics_of(shape: Shape) -> MachineMetrics:
     if not shape.winds:
         metrics |= speed_metrics(speed, f"v{shape.axes}", f"v{shape.axes}_m_s")
     return MachineMetrics(speed, metrics, tuple(together))
+
+
+def metrics_of_number(number: int) -> Mapping[str, Metric]:
+    """Step metrics of the shortest line that has a span of this number, of several."""
+    spans = tuple(range(1, max(number, 2) + 1))
+    return metrics_of(Shape(len(spans) + 1, (), len(spans), spans, spans)).metrics
 
 
 def shape_of_figures(names: Iterable[str]) -> Shape:

@@ -5,9 +5,15 @@ from __future__ import annotations
 from typing import Final
 
 from hilbench.topology.main_quantities.quantity import MainQuantity
-from hilbench.topology.quantities import LINE_SPEED, span_of_set_point, tension_set_point
+from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.signals import Shape
-from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span, span_of_modulus
+from hilbench.topology.web_line_quantities import (
+    YOUNGS_MODULUS,
+    modulus_of_span,
+    span_of_modulus,
+    span_of_set_point,
+    tension_set_point,
+)
 from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 

@@ -33,7 +33,6 @@ from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.shaft import ServoAxis
 from hilbench.plant.web_line import kernel, laws, records, rig_cycle
 from hilbench.plant.web_line.line_vectors import arrays
-from hilbench.plant.web_line.rig_cycle import NoisyRig, RigArrays
 from hilbench.twin.machines.machine import LOOK, WENT_ON, MachineVectors
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED
 
@@ -61,7 +60,7 @@ class _ShaftArrays(NamedTuple):
     """The simulated shaft, then the machine's own, and those of the estimator; `values`, `whole`, `measured`, `asked`
     and `shown` (of the rig) as of `MachineVectors`."""
 
-    noisy: NoisyRig
+    noisy: rig_cycle.NoisyRig
     figures: Annotated[Any, _FIGURES]
     outputs: Annotated[Any, OUTPUTS]
     measured: Reals
@@ -170,8 +169,8 @@ class ShaftInVectors:
         self._looks, self._outputs = looks, outputs
         step = plant.step_in_vectors(cycle_s)
         shaft = _ShaftArrays(
-            NoisyRig(
-                RigArrays(plant.vectors, step.motors, vectors.asked, step.sensors, vectors.shown),
+            rig_cycle.NoisyRig(
+                rig_cycle.RigArrays(plant.vectors, step.motors, vectors.asked, step.sensors, vectors.shown),
                 *silence(len(step.motors)),
             ),
             np.array([(cycle_s, step.samples, known)], _FIGURES),

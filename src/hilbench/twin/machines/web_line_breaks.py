@@ -17,13 +17,13 @@ from typing import Final
 
 import numpy as np
 
+from hilbench.compiled import Vector
 from hilbench.estimation.plausibility import SLACK
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.anomalies import LEAST_SHARE
 from hilbench.estimation.web_line.block_means import BLOCK_S, ENDS
 from hilbench.estimation.web_line.carriage_slip import CarriageSlip
 from hilbench.estimation.web_line.section_anomalies import SectionDetector
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans

@@ -15,12 +15,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from hilbench.compiled import Vector
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.web_line.augmented_filter import AugmentedFilter, Posterior
 from hilbench.estimation.web_line.transients import Transient
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.drive_response import DriveResponse
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from hilbench.plant.web_line.layout import Vector
+from hilbench.compiled import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
 from hilbench.plant.web_line.stations import Idler, Reel, reel_name

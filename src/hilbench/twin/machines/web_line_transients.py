@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
+from hilbench.compiled import Vector
 from hilbench.estimation.web_line.transients import TransientDetector
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.drive_response import DriveResponse
-from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_follower import LineFollower, StateTransfer
 from hilbench.plant.web_line.parameters import ModelParameters

@@ -114,7 +114,7 @@ def _working_velocity(run: ShownRun, position: str) -> Array | None:
 
 def _published(config: Path, recording: Recording) -> Array | None:
     """E by the published method; None also for the config of a run that is too old to be understood now."""
-    from hilbench.results.synchronization import reference_estimate  # slow to import: not for a terminal
+    from hilbench.results.web_line_synchronization import reference_estimate  # slow to import: not for a terminal
 
     try:
         return None if recording.is_reduced else reference_estimate(load_with_overrides(config).config, recording)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf
 
+from hilbench.compiled import Vector
 from hilbench.plant.fmu.export.machine import (
     FORGOTTEN,
     ExportedMachine,
@@ -21,7 +22,7 @@ from hilbench.plant.interface import Quantity
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.web_line import kernel, line_kernel, records
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.layout import Layout
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.measured import Measured
-from hilbench.live import line_segment
-from hilbench.live.line_gap import ModelGap, exchanged_m
-from hilbench.live.line_segment import line, numbered
+from hilbench.live import web_line_segment as line_segment
 from hilbench.live.machine import SHORT, LiveMachine
+from hilbench.live.web_line_gap import ModelGap, exchanged_m
+from hilbench.live.web_line_segment import line, numbered
 from hilbench.live.window import Window
 from hilbench.plant.effect import Domain
 from hilbench.plant.effects import find_effect

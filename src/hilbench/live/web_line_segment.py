@@ -12,7 +12,7 @@ from hilbench.diagnosis.measured import Before, Measured, measured_from
 from hilbench.diagnosis.predictor import choice, deviations_of
 from hilbench.diagnosis.web_line.free_run import remembered_m
 from hilbench.errors import UnusableInputError
-from hilbench.live.line_gap import exchanged_m
+from hilbench.live.web_line_gap import exchanged_m
 from hilbench.live.window import Window
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line import layout as lay

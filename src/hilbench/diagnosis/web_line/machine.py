@@ -8,10 +8,13 @@ from hilbench.diagnosis.machines import AnyEmulation, Array, is_lone
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.predictor import RECORDED_COMMANDS, Choice, is_cycle
+from hilbench.diagnosis.terms import Term
 from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
+from hilbench.estimation.web_line.config import ModelErrorsConfig
 from hilbench.plant.effect import Effect, MachineSizes, Section
-from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.model_file import Machine
+from hilbench.plant.parameters import EffectEntry, per_item
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.emulation import Emulation
 from hilbench.plant.web_line.inverse import required_torque_Nm as required_torque_Nm
@@ -21,6 +24,8 @@ from hilbench.plant.web_line.sizes import machine_sizes
 from hilbench.topology.config import BenchConfig
 
 ENTRY: Final = EffectEntry
+#: What is believed of an effect that `model_errors` has no word on: so many of its usual sizes.
+WIDE: Final = 10.0
 
 
 def write_effect(
@@ -92,3 +97,25 @@ def _blind(motion: LineOnMeasuredMotion) -> str:
 def emulation(config: BenchConfig, resolution: tuple[float, ...] | None) -> Emulation:
     """Emulation by the load motors. `resolution`: m/s, of each axis's velocity command."""
     return Emulation(config.cycle_time_s, config.rig_parameters().load_motors, resolution)
+
+
+def believed_sizes(term: Term, model: Machine, errors: ModelErrorsConfig, modulus_share: float) -> dict[str, float]:
+    """Standard deviations of strengths at the axis of a term before anything is measured, by effect: as a twin believes
+    them; of E `modulus_share`, relative."""
+    if not isinstance(model, ModelParameters):
+        return {}
+    axis, boundary = term.axis or 1, model.boundary
+    tension_N = max(boundary.upstream_tension_N, boundary.downstream_tension_N)
+    strain = tension_N / model.stiffness_N(1)
+    limit_Nm = per_item(model.drives.torque_limit_Nm, axis) if model.drives else WIDE * term.size
+    friction_N = 0.01 * errors.friction_pct * tension_N
+    return {
+        "coulomb_friction": friction_N,
+        "viscous_friction": friction_N / errors.at_speed_m_s,
+        "torque_offset": 0.01 * errors.torque_offset_pct * limit_Nm,
+        "strain_offset": 0.01 * errors.strain_pct * strain,
+        "web_slip": 0.01 * errors.creep_pct / model.stiffness_N(1),
+        "roller_eccentricity": 1e-6 * errors.eccentricity_um,
+        "unbalance": 0.01 * errors.unbalance_pct * tension_N * model.radius_m(axis),
+        "elasticity_shift": modulus_share,
+    }
