@@ -144,12 +144,16 @@ class Medium:
         heads = [station for station in self._stations if station.queue]
         if not heads:
             return False
-        start = max(self.free_ns, min([station.queue[0].ready_ns for station in heads]))
-        winner = min(
-            (station for station in heads if station.queue[0].ready_ns <= start),
-            key=lambda station: station.queue[0].priority,
-        )
+        winner = heads[0]
         frame = winner.queue[0]
+        start = max(self.free_ns, frame.ready_ns)
+        if len(heads) > 1:
+            start = max(self.free_ns, min([station.queue[0].ready_ns for station in heads]))
+            winner = min(
+                (station for station in heads if station.queue[0].ready_ns <= start),
+                key=lambda station: station.queue[0].priority,
+            )
+            frame = winner.queue[0]
         if start > until_ns:
             return False
         if frame.outcome is not None and frame.outcome.broken_off_after:

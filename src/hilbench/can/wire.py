@@ -8,6 +8,8 @@ automaton), because the hub does it for every frame.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 
 #: CRC delimiter, ACK slot, ACK delimiter, end of frame, intermission: never stuffed.
@@ -117,6 +119,7 @@ def header(can_id: int, length: int) -> tuple[int, int, int]:
     return found
 
 
+@lru_cache(128)  # some frames are the same in every cycle, and in one process wire and bench count each
 def bits_on_wire(can_id: int, data: bytes) -> int:
     """Bit times of one classical frame, stuff bits and intermission included.
 
