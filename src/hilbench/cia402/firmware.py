@@ -55,7 +55,7 @@ class Firmware:
         self.torque_demand = cell(objects.TORQUE_DEMAND)
         self.vl_demand = cell(objects.VL_VELOCITY_DEMAND)
         self.vl_actual = cell(objects.VL_VELOCITY_ACTUAL_VALUE)
-        self._shows_vl = device.has(objects.VL_VELOCITY_ACTUAL_VALUE)
+        self.shows_vl = device.has(objects.VL_VELOCITY_ACTUAL_VALUE)
         self.digital_inputs = cell(objects.DIGITAL_INPUTS)
 
         self._max_torque = cell(objects.MAX_TORQUE)
@@ -104,7 +104,7 @@ class Firmware:
         self.position_origin = 0
         #: The encoder's reading in position units, not wrapped, without the origin.
         self.encoder_count = 0
-        self._shown_mode = MotorMode.OFF
+        self.shown_mode = MotorMode.OFF  #: mode whose demand the objects show
         self.refresh()
 
     def _parameter_written(self, _value: object) -> None:
@@ -153,16 +153,6 @@ class Firmware:
         self.vl_deceleration_rad_s2 = _ramp_rad_s2(self._vl_deceleration)
         self.port.torque_limit_Nm = self.torque_limit_Nm
 
-    @property
-    def shown_mode(self) -> MotorMode:
-        """Mode whose demand the objects show."""
-        return self._shown_mode
-
-    @property
-    def shows_vl(self) -> bool:
-        """True if the device has the actual value of the velocity mode."""
-        return self._shows_vl
-
     def show(self) -> None:
         """Write the port's feedback and demands into the objects, in device units.
 
@@ -183,7 +173,7 @@ class Firmware:
         self.position_actual.value = position
         self.velocity_actual.value = velocity
         self.torque_actual.value = max(-_INT16_MAX, min(_INT16_MAX, torque))
-        if self._shows_vl:
+        if self.shows_vl:
             self.vl_actual.value = max(-_INT16_MAX, min(_INT16_MAX, round(port.velocity_rad_s / RPM)))
         if self.switches is not None:
             self.digital_inputs.value = self.switches.inputs(port.position_rad)
@@ -192,8 +182,8 @@ class Firmware:
     def _show_demands(self, position: int) -> None:
         """Demand of the loop that is closed; the others show no demand (position: the actual one)."""
         port, units, mode = self.port, self.units, self.port.mode
-        if mode is not self._shown_mode:
-            self._shown_mode = mode
+        if mode is not self.shown_mode:
+            self.shown_mode = mode
             self.following_error.value = self.velocity_demand.value = self.torque_demand.value = 0
         if mode is MotorMode.POSITION:
             demand = round(port.reference / units.position_rad)

@@ -94,7 +94,7 @@ class Exchange:
     ) -> None:
         config = nodes.config
         self.in_step = in_process or config.pace == "lockstep"  #: participants wait for SYNC, and SYNC for them
-        self._by_clock = in_process and config.pace == "realtime"
+        self.runs_by_clock = in_process and config.pace == "realtime"
         self._nodes = nodes
         self._own = MasterNode(config.master.node_id, objects)
         self._sync = sync = SyncCycle(
@@ -124,7 +124,7 @@ class Exchange:
         nodes, sync, own = self._nodes, self._sync, self._own
         nodes.unexpected_frames = []
         self._foreign_before, self._foreign_between = self._foreign_between, []
-        if self._by_clock:
+        if self.runs_by_clock:
             sync.wait_for_turn()
         try:
             if self._fast_path is not None and self._fast_path.cycle(outputs):
@@ -153,11 +153,6 @@ class Exchange:
     def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ExchangeStages | None]:
         """Compiled stages of cycles (`FastPathCycles.chained`); None without a fast path."""
         return self._fast_path.chained(sample, shown) if self._fast_path is not None else nullcontext()
-
-    @property
-    def runs_by_clock(self) -> bool:
-        """True if participants in this process wait for SYNC, and each SYNC is due by the wall clock."""
-        return self._by_clock
 
     @property
     def counted(self) -> NDArray[Any]:

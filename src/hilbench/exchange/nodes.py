@@ -72,9 +72,9 @@ class Nodes:
             tuple(Drive(settings_of(config, part, self._ods[part.name]), self._ods[part.name]) for part in group)
             for group in map(config.parts_of, (Role.AXIS, Role.LOAD_MOTOR, Role.VIRTUAL_AXIS))
         )
-        self._drives = (*self.axes, *self.load_motors)
+        self.drives = (*self.axes, *self.load_motors)  #: the real (or simulated) drives: the axes, then the load motors
         self.io = io or IoMaps.of(config, self._ods["virtual_io"])
-        self._boundary_names = tuple(signal.name for signal in self.io.data.boundary_inputs)
+        self.boundary_names = tuple(signal.name for signal in self.io.data.boundary_inputs)
         self._boundary_values = [
             (pdo, tuple(signal.name for signal in content.signals))
             for pdo, content in zip(self.io.boundary, self.io.data.boundary, strict=True)
@@ -84,7 +84,7 @@ class Nodes:
             for pdo, content in zip(self.io.sent, self.io.data.sent, strict=True)
         ]
         self._rad_per_unit = [config.machine.motor_rad_per_unit(axis) for axis in range(1, len(self.axes) + 1)]
-        self._set_points = [
+        self.set_points = [
             *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), self._per_output(), strict=True),
             *((drive, name, 1.0) for drive, name in zip(self.load_motors, config.load_motors, strict=True)),
         ]
@@ -112,15 +112,15 @@ class Nodes:
         self.twin_alive = False  #: a heartbeat or boot-up of the virtual I/O has come since this was last reset
         self._inbox = EmergencyInbox()
         self.malformed = 0  #: frames with the COB-ID, but not the length, of a PDO that the bench reads
-        self._tpdos = {
+        self.answers = {
             pdo.cob_id: Tpdo(pdo.cob_id, pdo.size, pdo.period, self.sender(drive))
             for drive in self.drives
             for _, pdo, _ in drive.pdos.tpdos
         }
-        self._tpdos_of = [[self._tpdos[pdo.cob_id] for _, pdo, _ in drive.pdos.tpdos] for drive in self.drives]
+        self._tpdos_of = [[self.answers[pdo.cob_id] for _, pdo, _ in drive.pdos.tpdos] for drive in self.drives]
         self._in_time = self._ages_cycles = (0,) * len(self._tpdos_of)
         self._twin_tpdos = [Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name) for _, pdo in self.io.tpdos]
-        self._tpdos |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
+        self.answers |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
         self._watch: UnexpectedSenders | None = None  # from when the master is known
         self.unexpected_frames: list[Unexpected] = []  #: of this cycle, neither the bench's nor its nodes'
         self._cycle = 0
@@ -163,11 +163,6 @@ class Nodes:
     def filled(self) -> frozenset[str]:
         """The signals of the drives that `fill` puts into a sample."""
         return frozenset(name for shown in self._shown_by for name in shown.signals if name)
-
-    @property
-    def drives(self) -> Sequence[Drive]:
-        """The real (or simulated) drives: the axes, then the load motors."""
-        return self._drives
 
     @property
     def emergencies(self) -> Mapping[Emergency, int]:
@@ -356,7 +351,7 @@ class Nodes:
         (N·m), zero where there is none; by signal the boundary inputs of the twin.
         """
         frames: list[Frame] = []
-        for drive, name, per_unit in self._set_points:
+        for drive, name, per_unit in self.set_points:
             drive.setpoint = outputs.get(name, 0.0) * per_unit
             frames += drive.encode()
         for pdo, names in self._boundary_values:
@@ -372,7 +367,7 @@ class Nodes:
         data = self._answers(frames, before_sync, elapsed_cycles - self._elapsed_cycles)
         self._elapsed_cycles = elapsed_cycles
         for can_id, content, _ in frames:
-            if can_id in self._tpdos:
+            if can_id in self.answers:
                 continue
             data[can_id] = content
             if HEARTBEAT < can_id <= HEARTBEAT + LAST_NODE:
@@ -407,7 +402,7 @@ class Nodes:
 
     def _answers(self, frames: Sequence[Frame], before_sync: int, elapsed_cycles: int) -> dict[int, bytes]:
         """Answers to this SYNC by COB-ID; surplus frames are counted, and are in `unexpected_frames`."""
-        tpdos = self._tpdos
+        tpdos = self.answers
         for tpdo in tpdos.values():
             tpdo.begin()
         other_syncs = elapsed_cycles
@@ -453,7 +448,7 @@ class Nodes:
     def fits_fast_path(self) -> bool:
         """True if all drives are enabled and follow their set points, and all answers come regularly."""
         return all(drive.fits_fast_path for drive in self.drives) and all(
-            tpdo.is_regular for tpdo in self._tpdos.values()
+            tpdo.is_regular for tpdo in self.answers.values()
         )
 
     @property
@@ -464,21 +459,6 @@ class Nodes:
             if not follows:
                 return False
         return True
-
-    @property
-    def set_points(self) -> Sequence[tuple[Drive, str, float]]:
-        """Each drive in the order of its RPDO, with the name of its set point and the factor into motor units."""
-        return self._set_points
-
-    @property
-    def boundary_names(self) -> Sequence[str]:
-        """Signal names of the twin's boundary inputs, in the order of its RPDOs."""
-        return self._boundary_names
-
-    @property
-    def answers(self) -> Mapping[int, Tpdo]:
-        """The TPDOs that answer SYNC."""
-        return self._tpdos
 
     def begin_fast_path(self) -> None:
         """Prepare cycles with answers to SYNC only: clear messages and ages."""
@@ -508,7 +488,7 @@ class Nodes:
     def end_fast_path(self, cycles: int) -> None:
         """Update the drives' feedback from `measured` after `cycles` fast-path cycles."""
         measured = self.measured.of_drives.reshape(-1, OF_DRIVE).tolist()
-        for drive, of_drive in zip(self._drives, measured, strict=True):
+        for drive, of_drive in zip(self.drives, measured, strict=True):
             shown = drive.feedback
             shown.position_rad, shown.velocity_rad_s, shown.torque_Nm, statusword = of_drive
             shown.statusword = int(statusword)

@@ -112,7 +112,7 @@ class TensionTask(CyclicTask):
         trajectories: Callable[[CycleSample], tuple[float, float]] | None = None,
     ) -> None:
         self._trajectories = trajectories
-        self._names = names
+        self.names = names  #: names of drive, path and signals
         self._leader = leader
         self._controller, self._damping, self._trust, self._twin = controller, damping, trust, twin
         self._reports = reports
@@ -128,7 +128,7 @@ class TensionTask(CyclicTask):
     def _on(self, sample: CycleSample) -> CompiledStage:
         """Make the compiled stage."""
         self._sample = sample
-        names, kind, damping = self._names, type(sample), self._damping
+        names, kind, damping = self.names, type(sample), self._damping
         signals = {
             "closed": names.closed,
             "command": names.command,
@@ -177,14 +177,9 @@ class TensionTask(CyclicTask):
         return float(self._speeds["damped"])
 
     @property
-    def names(self) -> LoopNames:
-        """Names of drive, path and signals."""
-        return self._names
-
-    @property
     def span(self) -> int:
         """Number of the span whose tension is kept."""
-        return self._names.span
+        return self.names.span
 
     @property
     def set_point_N(self) -> float:
@@ -236,7 +231,7 @@ class TensionTask(CyclicTask):
 
     def owns(self, path: str) -> bool:
         """True if it is the set-point."""
-        return path == self._names.path
+        return path == self.names.path
 
     def value(self, path: str) -> float:
         """The set-point, N."""
@@ -251,11 +246,11 @@ class TensionTask(CyclicTask):
         self._at["fresh"] = self._twin.fresh(sample)
         self._follow_reels(sample)
         self._piece(sample)()
-        outputs[self._names.drive] = getattr(sample, self._names.command)
+        outputs[self.names.drive] = getattr(sample, self.names.command)
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Record the set-point."""
-        setattr(sample, self._names.set_point, self.goal_N)
+        setattr(sample, self.names.set_point, self.goal_N)
 
     def _follow_reels(self, sample: CycleSample) -> None:
         """Set the web travel at the ends of a section with a reel of measured radius there."""
@@ -267,17 +262,17 @@ class TensionTask(CyclicTask):
 
         def cycles() -> int:
             fresh = self._twin.fresh(sample)
-            shown = getattr(sample, self._names.set_point) == self.goal_N
+            shown = getattr(sample, self.names.set_point) == self.goal_N
             return MANY if fresh == bool(self._at["fresh"]) and shown else 0
 
         at_reels = [] if self._trajectories is None else [python_stage(partial(self._follow_reels, sample))]
-        before, shown = [*at_reels, self._piece(sample)], {self._names.drive: self._names.command}
+        before, shown = [*at_reels, self._piece(sample)], {self.names.drive: self.names.command}
         return CompiledStages(before=before, cycles=cycles, shown=shown)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The web is at rest, strained as upstream."""
         self._damping.reset()
-        setattr(sample, self._names.set_point, self.set_point_N)
+        setattr(sample, self.names.set_point, self.set_point_N)
 
     def _decide(self, code: int) -> bool:
         """Handle an event of the compiled cycle, then run its next stage."""
@@ -294,7 +289,7 @@ class TensionTask(CyclicTask):
     def _look_whether_closed(self) -> None:
         """Open or close the loop by the trust in the twin, and report it."""
         closed, was_closed = self._trust.trusted, self._at["closed"]
-        loop, axis = self._names.of_loop, self._names.axis
+        loop, axis = self.names.of_loop, self.names.axis
         if was_closed == 1.0 and not closed:
             self.opened_s = self._sample.t_s
             self._reports.note("twin", f"{loop} open, axis {axis} follows the ratio of speeds: {self._trust.doubt}")
