@@ -135,7 +135,9 @@ class Drive:
         the goal ENABLED by itself.
         """
         self._read_feedback(frames)
-        self._read_emergency(frames.get(self._emergency_cob_id))
+        emergency = frames.get(self._emergency_cob_id, b"")
+        if len(emergency) >= 2:
+            self.feedback.fault_code = int.from_bytes(emergency[:2], "little")
         self._advance()
         return self.feedback
 
@@ -238,10 +240,6 @@ class Drive:
         elif feedback.fresh and not first:
             feedback.velocity_rad_s = (position_rad - feedback.position_rad) / self.tpdo_period_s
         feedback.position_rad = position_rad
-
-    def _read_emergency(self, data: bytes | None) -> None:
-        if data is not None and len(data) >= 2:
-            self.feedback.fault_code = int.from_bytes(data[:2], "little")
 
     # --- state transitions to the goal -------------------------------------------------------------------------------
 

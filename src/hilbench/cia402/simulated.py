@@ -174,14 +174,11 @@ class SimulatedDrive:
         self._reported.clear()
         self.firmware.refresh()
         self._apply(Transition.T0_START)
-        self._requested_mode = self._stored_mode()
+        stored = int(self._mode_request.value)
+        self._requested_mode = OperationMode(stored) if stored in self._modes else OperationMode.NONE
         self._take_mode()
         self._apply(Transition.T1_SELF_TEST_DONE)
         self._show_status(0.0)
-
-    def _stored_mode(self) -> OperationMode:
-        stored = int(self._mode_request.value)
-        return OperationMode(stored) if stored in self._modes else OperationMode.NONE
 
     def follows(self, controlword: int) -> bool:
         """True if it is in OPERATION ENABLED by this controlword and follows a cyclic velocity or torque: then only

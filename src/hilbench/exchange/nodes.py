@@ -84,8 +84,11 @@ class Nodes:
             for pdo, content in zip(self.io.sent, self.io.data.sent, strict=True)
         ]
         self._rad_per_unit = [config.machine.motor_rad_per_unit(axis) for axis in range(1, len(self.axes) + 1)]
+        # Of a velocity the machine's unit to motor rad, of a torque 1.
+        factors = [1.0 if axis in config.shape.torqued else k for axis, k in enumerate(self._rad_per_unit, 1)]
+        #: Each drive in the order of its RPDO, with the name of its set point and the factor into motor units.
         self.set_points = [
-            *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), self._per_output(), strict=True),
+            *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), factors, strict=True),
             *((drive, name, 1.0) for drive, name in zip(self.load_motors, config.load_motors, strict=True)),
         ]
         on_nodes = config.parts_by_node
@@ -129,11 +132,6 @@ class Nodes:
         self.supervised = 0  #: number of changes in the supervision of the twin
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
-
-    def _per_output(self) -> list[float]:
-        """Factor of each axis's output: machine unit to motor rad for a velocity, 1 for a torque."""
-        torqued = self.config.shape.torqued
-        return [1.0 if axis in torqued else ratio for axis, ratio in enumerate(self._rad_per_unit, 1)]
 
     def _drive_signals(self) -> list[ShownBy]:
         """Signals that each drive fills, in the order of `drives`."""

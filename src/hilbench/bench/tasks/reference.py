@@ -100,11 +100,6 @@ class Reference:
         self.present = value
         self.goal = None
 
-    @property
-    def is_free(self) -> bool:
-        """True if it takes set values unchanged: without goal or ceiling."""
-        return self.goal is None and self.ceiling is None
-
     def load_trajectory(self, values: NDArray[np.float64]) -> int:
         """Load values for the next cycles, one per cycle that begins with `piece`; returns how many fit."""
         count = min(len(values), _LONGEST_COURSE)

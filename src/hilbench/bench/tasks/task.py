@@ -20,10 +20,6 @@ Outputs = dict[str, float]
 MANY = 1 << 30
 
 
-def _many() -> int:
-    return MANY
-
-
 def _nothing(cycles: int) -> None:
     """Ignore the count of cycles run."""
 
@@ -38,7 +34,7 @@ class CompiledStages:
 
     before: Sequence[CompiledStage] = ()
     after: Sequence[CompiledStage] = ()
-    cycles: Callable[[], int] = _many
+    cycles: Callable[[], int] = lambda: MANY
     went: Callable[[int], None] = _nothing
     shown: Mapping[str, str] = field(default_factory=dict)
 
