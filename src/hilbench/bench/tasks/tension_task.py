@@ -13,7 +13,7 @@ import numpy as np
 
 from hilbench.bench.state import Reports, TwinState
 from hilbench.bench.tasks import tension_cycle as cycle
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
+from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, StagedTask
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_trust import TwinSignals, VirtualSensorSupervision
 from hilbench.bench.tasks.web_entering_strain import EnteringStrain, entering_records
@@ -88,7 +88,7 @@ class LoopNames:
         )
 
 
-class TensionTask(CyclicTask):
+class TensionTask(StagedTask):
     """Velocity of the axis before a span from the simulated tension, with the damping of the swing added.
 
     `set_point_N` can be set during the run; `leader`: the axis after the span; `modulus_Pa`: E until the loop was
@@ -122,7 +122,6 @@ class TensionTask(CyclicTask):
         loop = of_record(cycle.LOOP, controlled_cycle=cycle.NEVER, closed=cycle.NEVER, **figures)
         self.loop, self.speeds = np.array([loop], cycle.LOOP), np.zeros(1, cycle.SPEEDS)
         self._at, self._speeds = self.loop[0], self.speeds[0]
-        self._piece = PerSample(self._on)
         load(cycle.run)
 
     def _on(self, sample: CycleSample) -> CompiledStage:
@@ -164,7 +163,8 @@ class TensionTask(CyclicTask):
                 entering_at=at,
                 leads_m_s=plan.lead(names.axis),
             )
-        return CompiledStage(cycle.run, cycle.JUDGE, arrays, fallback=self._decide)
+        self._stage = CompiledStage(cycle.run, cycle.JUDGE, arrays, fallback=self._decide)
+        return self._stage
 
     @property
     def speed_m_s(self) -> float:
@@ -244,9 +244,7 @@ class TensionTask(CyclicTask):
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis from the last sample."""
         self._at["fresh"] = self._twin.fresh(sample)
-        self._follow_reels(sample)
-        self._piece(sample)()
-        outputs[self.names.drive] = getattr(sample, self.names.command)
+        super().before(sample, outputs)
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Record the set-point."""
@@ -257,7 +255,7 @@ class TensionTask(CyclicTask):
         if self._trajectories is not None:
             self._at["before_m"], self._at["behind_m"] = self._trajectories(sample)
 
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+    def stages(self, sample: CycleSample) -> CompiledStages:
         """Compiled stage of the loop, and Python's at a reel of measured radius; the set-point stays as it is."""
 
         def cycles() -> int:
@@ -266,7 +264,7 @@ class TensionTask(CyclicTask):
             return MANY if fresh == bool(self._at["fresh"]) and shown else 0
 
         at_reels = [] if self._trajectories is None else [python_stage(partial(self._follow_reels, sample))]
-        before, shown = [*at_reels, self._piece(sample)], {self.names.drive: self.names.command}
+        before, shown = [*at_reels, self._on(sample)], {self.names.drive: self.names.command}
         return CompiledStages(before=before, cycles=cycles, shown=shown)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
@@ -282,8 +280,7 @@ class TensionTask(CyclicTask):
         elif code < cycle.STALE:
             self._trust.doubts(code, sample)
         self._look_whether_closed()
-        piece = self._piece(sample)
-        piece.function(cycle.CONTROL, piece.table)
+        self._stage.function(cycle.CONTROL, self._stage.table)
         return True
 
     def _look_whether_closed(self) -> None:

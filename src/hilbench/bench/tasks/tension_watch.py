@@ -16,7 +16,7 @@ import numpy as np
 
 from hilbench.bench.state import TwinState
 from hilbench.bench.tasks import tension_bounds as bounds
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
+from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, StagedTask
 from hilbench.bench.tasks.tension_task import TensionTask
 from hilbench.bench.tasks.tension_trust import VirtualSensorSupervision
 from hilbench.compiled import (
@@ -237,7 +237,7 @@ class WatchedLoop:
     follows_at_once: bool
 
 
-class TensionWatch(CyclicTask):
+class TensionWatch(StagedTask):
     """Opens tension loops whose twin is physically implausible, until it is plausible again."""
 
     def __init__(
@@ -278,7 +278,6 @@ class TensionWatch(CyclicTask):
         }
         self._reported = [bounds.NOTHING] * len(loops)
         twin.refusals = 0
-        self._piece = PerSample(self._on)
         load(_run)
 
     def _on(self, sample: CycleSample) -> CompiledStage:
@@ -316,16 +315,16 @@ class TensionWatch(CyclicTask):
         if any(emergency.code in (TORQUE_SHIFT, UNDECIDED) for emergency in inputs.emergencies):
             self._states["constant_s"] = 0.0  # a difference is to be learned anew
             self._states["known"][self._states["reported"] == bounds.NOTHING] = 0.0
-        self._piece(sample)()
+        super().after(sample, inputs)
 
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+    def stages(self, sample: CycleSample) -> CompiledStages:
         """Compiled stage of the watch; there are no EMCY messages in such cycles."""
 
         def cycles() -> int:
             self._look_for_a_new_twin()
             return MANY
 
-        return CompiledStages(after=[self._piece(sample)], cycles=cycles)
+        return CompiledStages(after=[self._on(sample)], cycles=cycles)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The drives are off: nothing is known of the web or the twin when they are enabled again."""
