@@ -87,11 +87,14 @@ class Device:
         self.on_emergency_stop: Callable[[], None] | None = None
         self._clock = clock
         self._store = ObjectStore(od)
+        self.cell = self._store.cell
         if not self.has(_ERROR_REGISTER):
             raise UnusableInputError(f"EDS of node {node_id}", "object 1001h is missing, a device needs it")
         self._storage = Storage(self._store, store)
         self._sdo = DeviceSdoServer(node_id, self._store, self._reply)
         self._emcy = EmergencyProducer(self._store, self._send, clock.now_ns, self._communicates)
+        self.emergency, self.clear_emergency = self._emcy.raise_error, self._emcy.clear_error
+        self.keep_emergency, self.acknowledge_emergency = self._emcy.keep, self._emcy.acknowledge
         self.producer = HeartbeatProducer(self._store, clock.now_ns)  #: heartbeat producer of the device
         self.consumer = HeartbeatConsumer(self._store, clock.now_ns, self._heartbeat_lost, self._heartbeat_back)
         lost, back = partial(self._heartbeat_lost, _GUARD), partial(self._heartbeat_back, _GUARD)
@@ -121,31 +124,9 @@ class Device:
 
     # -- application side --------------------------------------------------------------------------------
 
-    def cell(self, index: int, sub: int = 0) -> Cell:
-        """The cell of an object. Raises KeyError when the EDS lacks it."""
-        return self._store.cell(index, sub)
-
     def has(self, index: int, sub: int = 0) -> bool:
         """True if the EDS has the object."""
         return (index, sub) in self._store
-
-    def emergency(self, code: int, register_bits: int, info: bytes = b"", source: int = 0) -> None:
-        """An error has come (1001h, 1003h, and EMCY where the NMT state allows it); reported once until
-        `clear_emergency`, of each `source` by itself."""
-        self._emcy.raise_error(code, register_bits, info, source)
-
-    def clear_emergency(self, code: int, source: int = 0) -> None:
-        """Clear an EMCY error whose cause has vanished."""
-        self._emcy.clear_error(code, source)
-
-    def keep_emergency(self, code: int, axis: int = 1) -> None:
-        """The application, or one axis of it, is in fault because of this error: it stays in 1001h, and EMCY 0000h is
-        not sent, though its cause may go, until `acknowledge_emergency`."""
-        self._emcy.keep(code, axis)
-
-    def acknowledge_emergency(self, code: int, axis: int = 1) -> None:
-        """Acknowledge a fault reset: the error ends as soon as its cause has vanished."""
-        self._emcy.acknowledge(code, axis)
 
     # -- host side ---------------------------------------------------------------------------------------
 

@@ -8,9 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from typing import Any, Protocol
-
-from numpy.typing import NDArray
+from typing import Protocol
 
 from hilbench.can.confinement import ControllerState
 from hilbench.can.link import Link
@@ -95,7 +93,8 @@ class Exchange:
         config = nodes.config
         self.in_step = in_process or config.pace == "lockstep"  #: participants wait for SYNC, and SYNC for them
         self.runs_by_clock = in_process and config.pace == "realtime"
-        self._nodes = nodes
+        self.counted = nodes.measured.counted  #: counters, a record `exchange.measured.COUNTED`, after each cycle
+        self._nodes, self._link = nodes, link
         self._own = MasterNode(config.master.node_id, objects)
         self._sync = sync = SyncCycle(
             link,
@@ -154,15 +153,6 @@ class Exchange:
         """Compiled stages of cycles (`FastPathCycles.chained`); None without a fast path."""
         return self._fast_path.chained(sample, shown) if self._fast_path is not None else nullcontext()
 
-    @property
-    def counted(self) -> NDArray[Any]:
-        """Counters, a record `exchange.measured.COUNTED`, updated after each cycle."""
-        return self._nodes.measured.counted
-
-    def filling(self, sample: CycleSample) -> CompiledStage:
-        """Compiled stage of `Inputs.fill`."""
-        return self._nodes.measured.filling(sample)
-
     def use(self, made: Callable[[SyncCycle, MasterNode], FastPathCycles | None]) -> None:
         """Set the fast path: `made` creates it from the SYNC cycle and the bench's node."""
         self._fast_path = made(self._sync, self._own)
@@ -199,9 +189,9 @@ class Exchange:
     @property
     def lost_frames(self) -> int | None:
         """Frames the bench's own connection has lost because it was not read in time; None: not known there."""
-        return self._sync.lost_frames
+        return self._link.dropped
 
     @property
     def controller(self) -> ControllerState:
         """State of the bench's own CAN controller."""
-        return self._sync.controller
+        return self._link.controller

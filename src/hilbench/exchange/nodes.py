@@ -31,7 +31,7 @@ from hilbench.exchange.sync_cycle import ExpectedPdo
 from hilbench.exchange.unexpected_senders import Owned, Unexpected, UnexpectedSenders
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
-from hilbench.topology.sample import CycleSample, sample_type
+from hilbench.topology.sample import sample_type
 
 #: Heartbeats that may stay away before a node counts as lost (lost frames are no lost node).
 _HEARTBEATS_MISSED = 4
@@ -107,6 +107,7 @@ class Nodes:
         self.measured = Measured(
             sample_type(config.signals), self._shown_by, [names for _, names in self._virtual_io_values], torques
         )
+        self.fill = self.measured.fill
         self._status_cob_id = self.io.status.cob_id
         self._counted = self.measured.counted[0]
         self.twin_reported_cycle = 0  #: cycle, counted by `decode`, in which the twin last reported its status
@@ -526,18 +527,18 @@ class Nodes:
         if name is not None and not self._inbox.add(node_id, name, content):
             self.malformed += 1
 
-    def fill(self, sample: CycleSample) -> None:
-        """Put the measurements of this cycle into a sample; SI, positions and velocities in the machine's unit."""
-        self.measured.fill(sample)
-
     # -- effects in the simulated hardware ---------------------------------------------------------------
 
-    def hardware_effect(self, path: str) -> float:
-        """A parameter of an effect in the simulated hardware, read by SDO. Raises UnusableValueError."""
+    def owns(self, path: str) -> bool:
+        """True if a quantity is a parameter of an effect in the simulated hardware, which these nodes have."""
+        return path.startswith("hardware.")
+
+    def value(self, path: str) -> float:
+        """Present value of one as the drive has it, read by SDO. Raises UnusableValueError."""
         return float(self._sdo().sdo_read(*effect_place(self.config, path)))
 
-    def set_hardware_effect(self, path: str, value: float) -> None:
-        """Change a parameter of an effect in the simulated hardware, by SDO. Raises UnusableValueError."""
+    def set(self, path: str, value: float) -> None:
+        """Write another value by SDO. Raises UnusableValueError."""
         node_id, index, sub = effect_place(self.config, path)
         self._sdo().sdo_write(node_id, index, value, sub)
 

@@ -13,7 +13,6 @@ from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.can.wire import frame_bits
@@ -348,16 +347,6 @@ class SyncCycle:
     def next_sync_ns(self) -> int:
         """Start of the next SYNC in ns, on the time base of the trace."""
         return self._epoch_ns + self.timing.cycles * self._cycle_ns
-
-    @property
-    def lost_frames(self) -> int | None:
-        """Frames the bench's own connection has lost because it was not read in time; None: not known there."""
-        return self._link.dropped
-
-    @property
-    def controller(self) -> ControllerState:
-        """State of the bench's own CAN controller."""
-        return self._link.controller
 
     # -- cycles run by the fast path (`hilbench.in_process_cycle`) ----------------------------------------------------
 
