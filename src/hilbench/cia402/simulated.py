@@ -158,7 +158,7 @@ class SimulatedDrive:
         if device.has(failing) and device.cell(failing).variable.name.startswith(_FAULT_ON_COMMAND):
             device.cell(failing).on_write = self._simulated_fault_written
         device.on_nmt = also(device.on_nmt, self._nmt_changed)
-        device.on_communication_error = also(device.on_communication_error, self._communication_error)
+        device.on_communication_error = also(device.on_communication_error, self._connection_lost)
         device.on_emergency_stop = also(device.on_emergency_stop, self._emergency_stop)
         self._operational = False
         #: Error codes of active EMCY messages.
@@ -436,10 +436,6 @@ class SimulatedDrive:
             self.fault(code)
 
     # --- the connection to the master --------------------------------------------------------------------------------
-
-    def _communication_error(self, code: int) -> None:
-        """The device lost its master (its runtime has sent the EMCY already)."""
-        self._connection_lost(code)
 
     def _emergency_stop(self) -> None:
         """Quick stop at once, independent of 6007h: the command does not come from a connection that was lost."""
