@@ -10,9 +10,9 @@ import numpy as np
 from hilbench.bench.tasks.limits import (
     BELOW_LIMITS,
     LIMIT_REACHED,
-    DiagnosisAnswer,
     Levels,
     Limited,
+    LimitedValue,
     LimitMonitor,
     apart,
     is_synchronized,
@@ -115,7 +115,7 @@ class LimitCheck(LimitMonitor):
         self._figures["warned"] = not self._levels.quiet
         return found
 
-    def _quantities(self, sample: CycleSample) -> Iterator[DiagnosisAnswer]:
+    def _quantities(self, sample: CycleSample) -> Iterator[LimitedValue]:
         for each in self._limited:
             value = getattr(sample, each.signal)
             yield each.name, value if each.signed else abs(value), f" {each.unit}", each.limit

@@ -23,7 +23,7 @@ class LimitTripError(BenchFaultError):
 
 
 #: What is watched in a cycle: its name, its value (a size), its unit with a space before it, and its levels.
-DiagnosisAnswer = tuple[str, float, str, Limit]
+LimitedValue = tuple[str, float, str, Limit]
 
 
 #: What a compiled look at a sample finds.
@@ -67,7 +67,7 @@ class Levels:
         """True if no warning is on."""
         return not self._warned
 
-    def check(self, t_s: float, quantities: Iterable[DiagnosisAnswer]) -> list[tuple[str, str]]:
+    def check(self, t_s: float, quantities: Iterable[LimitedValue]) -> list[tuple[str, str]]:
         """The warnings that begin in this cycle, each after its quantity.
 
         Raises LimitTripError; no number counts as beyond the trip level.
