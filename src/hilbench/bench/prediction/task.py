@@ -55,6 +55,10 @@ class Look(ABC):
         #: Those that are measured without the model, and so are compared with what was predicted.
         self._compared = np.array([k for k, each in enumerate(self.watched) if each.unit == "N·m"])
 
+    def warm_up(self) -> None:
+        """Compile, or load, what a look runs."""
+        self.futures.warm_up()
+
     @abstractmethod
     def ready(self, sample: CycleSample) -> bool:
         """True if the present state is known well enough."""
@@ -109,7 +113,7 @@ class Prediction(CyclicTask):
         self.outlook: Outlook | None = None  #: the last one
         self.looks = self.left_out = 0
         self._look, self._config, self._state, self._asked = look, config, state, asked
-        self.warm_up = look.futures.warm_up
+        self.warm_up = look.warm_up
         self._seed, self._on_predicted_limit = seed, on_predicted_limit
         self._reference, self._slows_down = reference, False
         self._every = max(1, round(config.every_s / state.cycle_s))
