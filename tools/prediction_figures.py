@@ -114,7 +114,7 @@ SERVO_TABLE = docs_page.Table("prediction_errors_servo", "prediction.md", COLUMN
 
 
 def look_at_rest(look: LineLook | ShaftLook) -> tuple[Callable[[], None], Callable[[], Outlook]]:
-    """As `LimitReading.prepare`, of a machine that stands."""
+    """As `Look.prepare`, of a machine that stands."""
     if isinstance(look, LineLook):
         return look.futures.prepare(*look.futures.at_rest(), look.futures.no_offsets(), 1)
     return look.futures.prepare(*look.futures.at_rest(), look.futures.no_offsets(), 1)

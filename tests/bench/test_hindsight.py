@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hilbench.bench.prediction.hindsight import Hindsight
-from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
+from hilbench.prediction.outlook import Outlook, WatchedQuantity
 
 TORQUE = np.array([0])
 
@@ -17,7 +17,7 @@ def outlook(now_s: float, course_Nm: np.ndarray, row_s: float = 0.05) -> Outlook
     rows = np.repeat(course_Nm[:, None, None], 16, axis=1)
     return Outlook(
         now_s,
-        [DiagnosisAnswer("torque", "tau1_Nm", "N·m")],
+        [WatchedQuantity("torque", "tau1_Nm", "N·m")],
         times_s,
         rows,
         rows[0],

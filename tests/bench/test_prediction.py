@@ -20,7 +20,7 @@ from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED, UnusableInputError
 from hilbench.prediction.config import PredictionConfig
-from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
+from hilbench.prediction.outlook import Outlook, WatchedQuantity
 from hilbench.prediction.plan import Asked, Move
 from hilbench.results.journal import read_journal
 from hilbench.results.recording import read_recording
@@ -210,8 +210,8 @@ class StillRunning:
     """A look that takes its time: what it says is there when it is let go on."""
 
     watched = (
-        DiagnosisAnswer("speed of axis 1", "v1_m_s", "m/s", warning=1.0),
-        DiagnosisAnswer("speed of axis 2", "v2_m_s", "m/s"),
+        WatchedQuantity("speed of axis 1", "v1_m_s", "m/s", warning=1.0),
+        WatchedQuantity("speed of axis 2", "v2_m_s", "m/s"),
     )
     signals = ("v1_m_s", "v2_m_s")
 

@@ -76,12 +76,12 @@ class Stands:
     @property
     def states(self) -> set[State]:
         assert self.application is not None
-        return {drive.state for drive in self.application._drives}
+        return {drive.state for drive in self.application.drives}
 
     @property
     def fastest_rad_s(self) -> float:
         assert self.application is not None
-        outputs = self.application._rig.outputs()
+        outputs = self.application.rig.outputs()
         return max(abs(outputs["v1_rad_s"]), abs(outputs["v2_rad_s"]))
 
 

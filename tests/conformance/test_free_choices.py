@@ -77,7 +77,7 @@ def begins_with_a_heartbeat(bus: VirtualBus) -> None:
     def receive(frame: Frame) -> Frame:
         if frame.data[:4] == b"\x2b\x17\x10\x00" and any(frame.data[4:6]):
             bus.device.handle(frame)
-            bus.device._producer.sent_until(bus.clock.ns + 20_000_000)
+            bus.device.producer.sent_until(bus.clock.ns + 20_000_000)
             return Frame(0x7FF, b"")
         return frame
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hilbench.apps.pages.live.controls import courses
-from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
+from hilbench.prediction.outlook import Outlook, WatchedQuantity
 
 SPIKE = 640
 
@@ -21,9 +21,9 @@ def outlook() -> Outlook:
     rows[SPIKE, :, 0] += 50.0
     rows[:, :, 1] = 2.0
     watched = [
-        DiagnosisAnswer("tension", "F", "N", 150.0, 200.0),
-        DiagnosisAnswer("torque", "tau", "N·m"),
-        DiagnosisAnswer("speed", "v", "m/s"),
+        WatchedQuantity("tension", "F", "N", 150.0, 200.0),
+        WatchedQuantity("torque", "tau", "N·m"),
+        WatchedQuantity("speed", "v", "m/s"),
     ]
     none = np.zeros((41, 3))
     times_s = 5.0 + 0.01 * np.arange(1, 1001)

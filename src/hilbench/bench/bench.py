@@ -28,7 +28,6 @@ from hilbench.bench.prediction.task import Prediction
 from hilbench.bench.reports.change import Change
 from hilbench.bench.reports.notice import Notices
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.hardware_effects import HardwareEffects
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.watches import ControllerWatch, EmergencyWatch, LatenessWatch, SupervisorWatch
 from hilbench.crash_report import TRACEBACK_FILE, crash_report
@@ -179,7 +178,7 @@ class Bench:
         state.exchange, state.phase = exchange, "running"
         participants = (*map(nodes.sender, nodes.drives), nodes.twin_name)
         self.timeliness = Timeliness(participants, config.cycle_time_s)
-        self._quantities.append(HardwareEffects(nodes))
+        self._quantities.append(nodes)
         self._twin = TwinConnection(
             state,
             nodes,

@@ -52,21 +52,14 @@ class ErrorCounters:
         """True if both counters are 0."""
         return not (self.transmit or self.receive)
 
-    def transmit_failed(self) -> None:
-        """An own frame was broken off."""
-        self.transmit += _TRANSMIT_FAILED
-
-    def transmit_succeeded(self) -> None:
-        """An own frame was over."""
-        self.transmit = max(0, self.transmit - 1)
-
-    def receive_failed(self) -> None:
-        """Another's frame was broken off."""
-        self.receive = min(self.receive + 1, PASSIVE_FROM)
-
-    def receive_succeeded(self) -> None:
-        """Another's frame was over."""
-        self.receive = max(0, min(self.receive, PASSIVE_FROM) - 1)
+    def count(self, *, own: bool, failed: bool) -> None:
+        """Count a frame on the wire, the controller's `own` or another's, that was over, or broken off."""
+        if own:
+            self.transmit = self.transmit + _TRANSMIT_FAILED if failed else max(0, self.transmit - 1)
+        else:
+            self.receive = (
+                min(self.receive + 1, PASSIVE_FROM) if failed else max(0, min(self.receive, PASSIVE_FROM) - 1)
+            )
 
     def message(self) -> tuple[int, bytes]:
         """Identifier and data of the error message frame that carries this state."""

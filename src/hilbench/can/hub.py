@@ -201,7 +201,10 @@ class Hub:
         start = protocol.HEADER.size
         classical = kind == protocol.KIND_CLASSICAL
         for can_id, length, flags, data in record.iter_unpack(body):
-            bits = _classical_bits(can_id, length, data) if classical else self._fd_bits(can_id, length, flags, data)
+            if not classical:
+                bits = self._fd_bits(can_id, length, flags, data)
+            else:
+                bits = bits_on_wire(can_id, data[:length]) if is_classical(can_id, length) else 0
             if bits:
                 queue(client, can_id, packet[start : start + record.size], bits, arrival_ns)
             else:
@@ -262,7 +265,8 @@ class Hub:
                 if client is not sender:
                     records.setdefault(client, []).append(record)
                 elif client.receive_own:
-                    records.setdefault(client, []).append(_marked_own(record))
+                    own = record[:5] + bytes([record[5] | protocol.OWN]) + record[6:]
+                    records.setdefault(client, []).append(own)
         for client, selected in records.items():
             if client.state is not ControllerState.BUS_OFF:
                 self._deliver(client, selected)
@@ -400,15 +404,6 @@ class Hub:
             "malformed": self.malformed,
             "time_ns": (self._now_ns() if real else self._medium.free_ns) - self._medium.start_ns,
         }
-
-
-def _classical_bits(can_id: int, length: int, data: bytes) -> int:
-    """Bit times of a classical record; 0: no frame that could be on a wire."""
-    return bits_on_wire(can_id, data[:length]) if is_classical(can_id, length) else 0
-
-
-def _marked_own(record: bytes) -> bytes:
-    return record[:5] + bytes([record[5] | protocol.OWN]) + record[6:]
 
 
 def _end(path: Path, log: Path, lock: int, listener: socket.socket) -> bool:

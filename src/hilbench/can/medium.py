@@ -176,7 +176,7 @@ class Medium:
         self.counters.frames += 1
         self.counters.bits += frame.bits
         if self._counting:
-            self._count_success(sender)
+            self._count(sender, failed=False)
         delivered.append(_delivery((sender, frame.can_id, frame.payload, self.free_ns)))
 
     def _survives(self, sender: Station, frame: QueuedFrame, outcome: FrameOutcome) -> bool:
@@ -200,29 +200,20 @@ class Medium:
         return True
 
     def _count_failure(self, sender: Station) -> None:
-        """An error frame has broken off what `sender` sent: all have seen it."""
+        """An error frame has broken off what `sender` sent."""
+        self._count(sender, failed=True)
         self._counting = True
-        for station in self._stations:
-            if station is sender:
-                station.errors.transmit_failed()
-            elif station.state is not ControllerState.BUS_OFF:
-                station.errors.receive_failed()
-            self._look_at(station)
         if sender.state is ControllerState.BUS_OFF:
             self.counters.lost += len(sender.queue)
             sender.queue.clear()
 
-    def _count_success(self, sender: Station) -> None:
+    def _count(self, sender: Station, *, failed: bool) -> None:
+        """Count errors, or frames without one, of all stations: all see what `sender` sends."""
         for station in self._stations:
-            if station is sender:
-                station.errors.transmit_succeeded()
-            elif station.state is not ControllerState.BUS_OFF:
-                station.errors.receive_succeeded()
-            self._look_at(station)
+            if station is sender or station.state is not ControllerState.BUS_OFF:
+                station.errors.count(own=station is sender, failed=failed)
+            state = station.errors.state
+            if state is not station.state:
+                station.state = state
+                self.changed.append(station)
         self._counting = not all(station.errors.clear for station in self._stations)
-
-    def _look_at(self, station: Station) -> None:
-        state = station.errors.state
-        if state is not station.state:
-            station.state = state
-            self.changed.append(station)

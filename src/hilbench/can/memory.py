@@ -40,8 +40,10 @@ class MemoryBus:
     def __init__(self, channel: str = "memory0", bitrate: int = 1_000_000) -> None:
         self.channel = channel
         self._medium = Medium(bitrate)
+        self.account = self._medium.account  #: frames that the fast path has carried, and delivered
         self._links: list[MemoryLink] = []
         self._listeners = Listeners(lambda: self._links)
+        self.hear = self._listeners.of  #: the links whose filters let an identifier pass
         self._lock = threading.Lock()
         self.waiting = False  #: true if frames wait for the wire
         #: Called before a link sends, receives, opens or closes, so that the fast path hands its state back.
@@ -79,14 +81,6 @@ class MemoryBus:
     def quiet(self) -> bool:
         """True if no frame is under way, and frames are not disturbed."""
         return not self.waiting and self._medium.undisturbed
-
-    def hear(self, can_id: int) -> list[MemoryLink]:
-        """The links whose filters let an identifier pass."""
-        return self._listeners.of(can_id)
-
-    def account(self, frames: int, bits: int, duration_ns: int) -> None:
-        """Count frames that the fast path carried one after the other on a free wire, and delivered."""
-        self._medium.account(frames, bits, duration_ns)
 
     def _carry(self) -> None:
         """Let the wire carry all frames sent, and deliver them to the links. The lock is held."""

@@ -51,8 +51,9 @@ class BusAddress:
                     "bus", f"found {text!r}, expected a name of up to 48 letters, digits, '_', '-' or '.'"
                 )
         elif interface not in can.VALID_INTERFACES:
+            interfaces = ", ".join(sorted(can.VALID_INTERFACES - {"hilbench"}))
             raise UnusableInputError(
-                "bus", f"found interface {interface!r}, expected embedded or one of python-can's: {_interfaces()}"
+                "bus", f"found interface {interface!r}, expected embedded or one of python-can's: {interfaces}"
             )
         return cls(interface, channel, bitrate, timing)
 
@@ -116,10 +117,6 @@ def _the_only_one() -> str:
         which = "no embedded bus of this user runs" if not running else f"these run: {', '.join(running)}"
         raise UnusableInputError("--bus", f"found embedded without a name, and {which}; expected embedded:NAME")
     return running[0]
-
-
-def _interfaces() -> str:
-    return ", ".join(sorted(can.VALID_INTERFACES - {"hilbench"}))
 
 
 def starting(bus: BusAddress) -> AbstractContextManager[None]:

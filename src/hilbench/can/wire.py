@@ -48,14 +48,10 @@ def _stuff_bits(state: int, bits: int, count: int) -> tuple[int, int]:
     return state, stuffed
 
 
-def _crc_step(crc: int, bit: int) -> int:
-    feedback = crc >> 14 ^ bit
-    return (crc << 1 & 0x7FFF) ^ (_CRC15_POLYNOMIAL if feedback else 0)
-
-
 def _crc_bits(crc: int, bits: int, count: int) -> int:
     for position in range(count - 1, -1, -1):
-        crc = _crc_step(crc, bits >> position & 1)
+        feedback = crc >> 14 ^ (bits >> position & 1)
+        crc = (crc << 1 & 0x7FFF) ^ (_CRC15_POLYNOMIAL if feedback else 0)
     return crc
 
 
@@ -146,7 +142,8 @@ def frame_bits(frame: Frame) -> int:
 
 def least_bits(data_bytes: int, extended: bool = False) -> int:
     """Bit times of a classical frame of `data_bytes` bytes (0 for a remote frame) without any stuff bit."""
-    _check_length(data_bytes)
+    if not 0 <= data_bytes <= 8:
+        raise ValueError(f"a classical frame has 0 to 8 data bytes, not {data_bytes}")
     return (STUFFED_BITS_EXTENDED if extended else STUFFED_BITS_BASE) + TRAILER_BITS + 8 * data_bytes
 
 
@@ -158,11 +155,6 @@ def worst_case_bits(data_bytes: int, extended: bool = False) -> int:
     """
     stuffable = (STUFFED_BITS_EXTENDED if extended else STUFFED_BITS_BASE) + 8 * data_bytes
     return least_bits(data_bytes, extended) + (stuffable - 1) // 4
-
-
-def _check_length(data_bytes: int) -> None:
-    if not 0 <= data_bytes <= 8:
-        raise ValueError(f"a classical frame has 0 to 8 data bytes, not {data_bytes}")
 
 
 def fd_bits_on_wire(can_id: int, data: bytes, bit_rate_switch: bool) -> tuple[int, int]:

@@ -6,7 +6,7 @@ A device does nothing by itself: its host passes frames (`handle`, `sync`) and t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -87,13 +87,16 @@ class Device:
         self.on_emergency_stop: Callable[[], None] | None = None
         self._clock = clock
         self._store = ObjectStore(od)
+        self.cell = self._store.cell
         if not self.has(_ERROR_REGISTER):
             raise UnusableInputError(f"EDS of node {node_id}", "object 1001h is missing, a device needs it")
         self._storage = Storage(self._store, store)
         self._sdo = DeviceSdoServer(node_id, self._store, self._reply)
         self._emcy = EmergencyProducer(self._store, self._send, clock.now_ns, self._communicates)
-        self._producer = HeartbeatProducer(self._store, clock.now_ns)
-        self._consumer = HeartbeatConsumer(self._store, clock.now_ns, self._heartbeat_lost, self._heartbeat_back)
+        self.emergency, self.clear_emergency = self._emcy.raise_error, self._emcy.clear_error
+        self.keep_emergency, self.acknowledge_emergency = self._emcy.keep, self._emcy.acknowledge
+        self.producer = HeartbeatProducer(self._store, clock.now_ns)  #: heartbeat producer of the device
+        self.consumer = HeartbeatConsumer(self._store, clock.now_ns, self._heartbeat_lost, self._heartbeat_back)
         lost, back = partial(self._heartbeat_lost, _GUARD), partial(self._heartbeat_back, _GUARD)
         self._guarding = NodeGuarding(self._store, clock.now_ns, lost, back)
         numbers = range(1, 513)
@@ -113,39 +116,17 @@ class Device:
             for index in od.indices
             if (name := _pdo_name(index)) and index + MAPPING not in od.indices
         }
-        self._receivers: dict[int, Rpdo] = {}
-        self._synchronous: list[Tpdo] = []
+        self.receive_pdos: dict[int, Rpdo] = {}  #: RPDOs in use, by identifier
+        self.synchronous_pdos: list[Tpdo] = []  #: TPDOs sent with SYNC, in their order
         self._event_driven: list[Tpdo] = []
         self._restrict_sync_objects()
         self._reset(*_ALL_AREAS)
 
     # -- application side --------------------------------------------------------------------------------
 
-    def cell(self, index: int, sub: int = 0) -> Cell:
-        """The cell of an object. Raises KeyError when the EDS lacks it."""
-        return self._store.cell(index, sub)
-
     def has(self, index: int, sub: int = 0) -> bool:
         """True if the EDS has the object."""
         return (index, sub) in self._store
-
-    def emergency(self, code: int, register_bits: int, info: bytes = b"", source: int = 0) -> None:
-        """An error has come (1001h, 1003h, and EMCY where the NMT state allows it); reported once until
-        `clear_emergency`, of each `source` by itself."""
-        self._emcy.raise_error(code, register_bits, info, source)
-
-    def clear_emergency(self, code: int, source: int = 0) -> None:
-        """Clear an EMCY error whose cause has vanished."""
-        self._emcy.clear_error(code, source)
-
-    def keep_emergency(self, code: int, axis: int = 1) -> None:
-        """The application, or one axis of it, is in fault because of this error: it stays in 1001h, and EMCY 0000h is
-        not sent, though its cause may go, until `acknowledge_emergency`."""
-        self._emcy.keep(code, axis)
-
-    def acknowledge_emergency(self, code: int, axis: int = 1) -> None:
-        """Acknowledge a fault reset: the error ends as soon as its cause has vanished."""
-        self._emcy.acknowledge(code, axis)
 
     # -- host side ---------------------------------------------------------------------------------------
 
@@ -157,28 +138,8 @@ class Device:
             and not (self.silent or self.heartbeat_fails or self.replies or self.outbox or self._event_driven)
             and not (self._sync_counter is not None and self._sync_counter.value)
             and not (self._emcy.waits or self._emcy.is_active(SYNC_LENGTH) or self._guarding.watches)
-            and all(tpdo.fits_fast_path for tpdo in self._synchronous)
+            and all(tpdo.fits_fast_path for tpdo in self.synchronous_pdos)
         )
-
-    @property
-    def producer(self) -> HeartbeatProducer:
-        """Heartbeat producer of the device."""
-        return self._producer
-
-    @property
-    def consumer(self) -> HeartbeatConsumer:
-        """Heartbeat consumer of the device."""
-        return self._consumer
-
-    @property
-    def receive_pdos(self) -> Mapping[int, Rpdo]:
-        """RPDOs in use, by identifier."""
-        return self._receivers
-
-    @property
-    def synchronous_pdos(self) -> Sequence[Tpdo]:
-        """TPDOs sent with SYNC, in their order."""
-        return self._synchronous
 
     def boot(self) -> None:
         """Send boot-up and enter PRE-OPERATIONAL."""
@@ -190,8 +151,8 @@ class Device:
         receives as it is configured now."""
         return {
             *(NMT, SDO_REQUEST + self.node_id, EMERGENCY_STOP_COB_ID),
-            *(HEARTBEAT + node_id for node_id in self._consumer.times_ns()),
-            *self._receivers,
+            *(HEARTBEAT + node_id for node_id in self.consumer.times_ns()),
+            *self.receive_pdos,
             *(tpdo.cob_id | REMOTE_FLAG for tpdo in self._tpdos if tpdo.valid),
             *([HEARTBEAT + self.node_id | REMOTE_FLAG] if self._guarding.offered else []),
         }
@@ -199,7 +160,7 @@ class Device:
     def handle(self, frame: Frame) -> None:
         """Any frame of the bus but SYNC."""
         can_id = frame.can_id
-        receiver = self._receivers.get(can_id)
+        receiver = self.receive_pdos.get(can_id)
         if receiver is not None:
             if self.nmt_state is NmtState.OPERATIONAL:
                 receiver.receive(frame.data)
@@ -214,11 +175,11 @@ class Device:
             if self.on_emergency_stop is not None:
                 self.on_emergency_stop()
         elif can_id == HEARTBEAT + self.node_id | REMOTE_FLAG:
-            if self._guarding.offered and not self._producer.period_ns:  # heartbeat takes the place of guarding
+            if self._guarding.offered and not self.producer.period_ns:  # heartbeat takes the place of guarding
                 self._reply(HEARTBEAT + self.node_id, self._guarding.answer(self.nmt_state))
         elif sender := node_of(can_id, HEARTBEAT):
             if len(frame.data) == 1 and frame.data != NmtState.INITIALISING.heartbeat:
-                self._consumer.received(sender)
+                self.consumer.received(sender)
         elif can_id & REMOTE_FLAG and not can_id & EXTENDED_FLAG and self.nmt_state is NmtState.OPERATIONAL:
             for tpdo in self._tpdos:
                 if tpdo.valid and tpdo.cob_id == can_id & COB_ID:
@@ -241,22 +202,22 @@ class Device:
         if self.nmt_state is not NmtState.OPERATIONAL:
             return
         counter = data[0] if expected else None
-        for rpdo in self._receivers.values():
+        for rpdo in self.receive_pdos.values():
             rpdo.sync()
-        for tpdo in self._synchronous:
+        for tpdo in self.synchronous_pdos:
             tpdo.sync(counter)
 
     def poll(self) -> None:
         """Time has passed: heartbeats, time-outs, event-driven PDOs, held-back EMCYs."""
         now_ns = self._clock.now_ns()
-        if self._producer.due(now_ns) and not self.heartbeat_fails:
+        if self.producer.due(now_ns) and not self.heartbeat_fails:
             self._send(HEARTBEAT + self.node_id, self.nmt_state.heartbeat)
-        self._consumer.poll(now_ns)
+        self.consumer.poll(now_ns)
         self._guarding.poll(now_ns)
         self._emcy.poll(now_ns)
         if self.nmt_state is not NmtState.OPERATIONAL:
             return
-        for rpdo in self._receivers.values():
+        for rpdo in self.receive_pdos.values():
             if rpdo.poll(now_ns):
                 self._communication_error(RPDO_TIMED_OUT, rpdo.number)
         for tpdo in self._event_driven:
@@ -265,8 +226,8 @@ class Device:
     def rephase(self) -> None:
         """Count all periods from now: SYNC has begun, and with it a common time."""
         now_ns = self._clock.now_ns()
-        self._producer.rephase()
-        self._consumer.rephase()
+        self.producer.rephase()
+        self.consumer.rephase()
         for rpdo in self._rpdos:
             rpdo.rephase(now_ns)
         for tpdo in self._tpdos:
@@ -317,8 +278,8 @@ class Device:
         self._storage.apply(first, last)
         self._emcy.reset()
         self._sdo.reset()
-        self._consumer.reset()
-        self._producer.rephase()
+        self.consumer.reset()
+        self.producer.rephase()
         self._guarding.reset()
         self._compile_pdos()
 
@@ -340,9 +301,9 @@ class Device:
                 # Writes are checked one by one, so this is what the device starts with: no map until one is written.
                 if pdo.valid:
                     self.left_out[str(pdo)] = f"{pdo} is not sent or received with its default mapping: {error}"
-        self._receivers = {rpdo.cob_id: rpdo for rpdo in self._rpdos if rpdo.valid and rpdo.map is not None}
+        self.receive_pdos = {rpdo.cob_id: rpdo for rpdo in self._rpdos if rpdo.valid and rpdo.map is not None}
         active = [tpdo for tpdo in self._tpdos if tpdo.valid and tpdo.map is not None]
-        self._synchronous = [tpdo for tpdo in active if tpdo.transmission_type <= 240]
+        self.synchronous_pdos = [tpdo for tpdo in active if tpdo.transmission_type <= 240]
         self._event_driven = [tpdo for tpdo in active if tpdo.transmission_type > 240]
 
     # -- SYNC objects ------------------------------------------------------------------------------------

@@ -268,7 +268,7 @@ class Tpdo(_Pdo):
     def __init__(self, store: ObjectStore, number: int, send: Callable[[int, bytes], None]) -> None:
         super().__init__(store, number, 0x1800, 0x1A00)
         self._send = send
-        self._syncs = 0
+        self.syncs = 0  #: SYNCs since it was sent
         self._sent: bytes | None = None
         self._free_ns = 0
         self._event_ns = 0
@@ -279,7 +279,7 @@ class Tpdo(_Pdo):
 
     def restart(self) -> None:
         """Count SYNCs anew and forget what was sent (also when OPERATIONAL is entered)."""
-        self._syncs = 0
+        self.syncs = 0
         self._sent = None
         self._started = (self._index, 6) not in self._store or not self._store.cell(self._index, 6).value
 
@@ -288,14 +288,9 @@ class Tpdo(_Pdo):
         """True if it is sent with every n-th SYNC, and has been started."""
         return self._started and 1 <= self._type.value <= 240
 
-    @property
-    def syncs(self) -> int:
-        """SYNCs since it was sent."""
-        return self._syncs
-
     def sent_until(self, syncs: int, data: bytes | None) -> None:
         """Account for frames sent by the fast path: SYNCs since the last, and its data; None: none sent."""
-        self._syncs = syncs
+        self.syncs = syncs
         if data is not None:
             self._sent = data
 
@@ -309,14 +304,14 @@ class Tpdo(_Pdo):
             if counter is None or counter != self._store.cell(self._index, 6).value:
                 return
             self._started = True
-            self._syncs = kind - 1
+            self.syncs = kind - 1
         if kind == 0:
             if self._data() != self._sent:
                 self._transmit(self._data())
             return
-        self._syncs += 1
-        if self._syncs >= kind:
-            self._syncs = 0
+        self.syncs += 1
+        if self.syncs >= kind:
+            self.syncs = 0
             self._transmit(self._data())
 
     def poll(self, now_ns: int) -> None:

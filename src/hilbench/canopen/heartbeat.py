@@ -17,7 +17,7 @@ class HeartbeatProducer:
     def __init__(self, store: ObjectStore, now_ns: Callable[[], int]) -> None:
         self._period = store.conditional(0x1017, DataType.UNSIGNED16, 0)
         self._now_ns = now_ns
-        self._next_ns = 0
+        self.next_ns = 0  #: time at which the next one is due
         self._period.on_write = self._restart
 
     @property
@@ -25,29 +25,24 @@ class HeartbeatProducer:
         """Period in ns; 0: none is sent."""
         return int(self._period.value * _MS)
 
-    @property
-    def next_ns(self) -> int:
-        """Time at which the next one is due."""
-        return self._next_ns
-
     def sent_until(self, next_ns: int) -> None:
         """Account for heartbeats sent by the fast path; the next one is due at `next_ns`."""
-        self._next_ns = next_ns
+        self.next_ns = next_ns
 
     def rephase(self) -> None:
         """Count the period from now."""
-        self._next_ns = self._now_ns() + self._period.value * _MS
+        self.next_ns = self._now_ns() + self._period.value * _MS
 
     def due(self, now_ns: int) -> bool:
         """True if a heartbeat is to be sent now; the next one is due a period later."""
         period_ns = self._period.value * _MS
-        if period_ns == 0 or now_ns < self._next_ns:
+        if period_ns == 0 or now_ns < self.next_ns:
             return False
-        self._next_ns = max(self._next_ns + period_ns, now_ns)
+        self.next_ns = max(self.next_ns + period_ns, now_ns)
         return True
 
     def _restart(self, period_ms: int) -> None:
-        self._next_ns = self._now_ns() + period_ms * _MS
+        self.next_ns = self._now_ns() + period_ms * _MS
 
 
 @dataclass

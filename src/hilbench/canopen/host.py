@@ -117,8 +117,10 @@ class DeviceHost:
                 self._listen()  # before the answer goes out
             if devices:
                 self._flush_replies()
-            if can_id == NMT:
-                self._nmt_commanded()
+            if can_id == NMT:  # started nodes wait for SYNC; what was pending goes now, not with their first answers
+                self._flush_all()
+                if any(device.nmt_state is NmtState.OPERATIONAL for device in self._devices):
+                    self._clock.expect_sync()
         self._time_passes()
 
     @property
@@ -159,12 +161,6 @@ class DeviceHost:
         if wanted != self._wanted:
             self._wanted = wanted
             self._link.set_filters([(identifier, _EXACTLY) for identifier in sorted(wanted)])
-
-    def _nmt_commanded(self) -> None:
-        """Let started nodes wait for SYNC; frames pending before are sent now, not with their first answers."""
-        self._flush_all()
-        if any(device.nmt_state is NmtState.OPERATIONAL for device in self._devices):
-            self._clock.expect_sync()
 
     def _sync(self, frame: Frame, behind: int) -> None:
         starts, self._sync_running = not self._sync_running, True

@@ -82,7 +82,8 @@ class LssSlave:
         command = data[0]
         answer: bytes | None
         if command == _SWITCH_GLOBAL:
-            self._switch(data[1])
+            if data[1] in (LssState.WAITING.value, LssState.CONFIGURATION.value):
+                self.state = LssState(data[1])
             return None
         if _SELECT_VENDOR <= command <= _SELECT_SERIAL:
             answer = self._select(command - _SELECT_VENDOR, _number(data))
@@ -99,10 +100,6 @@ class LssSlave:
     @property
     def _is_unconfigured(self) -> bool:
         return self.pending.node_id == UNCONFIGURED
-
-    def _switch(self, mode: int) -> None:
-        if mode in (LssState.WAITING.value, LssState.CONFIGURATION.value):
-            self.state = LssState(mode)
 
     def _select(self, part: int, number: int) -> bytes | None:
         if part == 0:

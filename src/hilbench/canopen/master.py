@@ -261,5 +261,5 @@ class Master(SdoClient):
         if isinstance(error, canopen.SdoAbortedError):
             reason = str(Refusal(error.code))
         else:
-            reason = no_answer(error, time_out_s or self._timeout_s)
+            reason = no_answer(error, time_out_s or self.timeout_s)
         return BenchFaultError(f"{self._place(node_id, variable)}: {doing} it: {reason}")

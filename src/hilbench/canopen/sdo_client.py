@@ -118,13 +118,8 @@ class SdoClient:
         self._network = _Network(bus, self.sent)
         self._network.listeners.append(_LossIsKnown())  # type: ignore[arg-type] # any listener will do
         self._network.connect()
-        self._timeout_s = timeout_s
+        self.timeout_s = timeout_s  #: time-out of an answer to a request
         self._locks: dict[int, threading.Lock] = {}  # a node that does not answer holds up no other
-
-    @property
-    def timeout_s(self) -> float:
-        """Time-out of an answer to a request."""
-        return self._timeout_s
 
     def read(self, node_id: int, index: int, sub: int = 0) -> Answer:
         """The content of an object, the device's refusal, or None when it does not answer in time.
@@ -155,11 +150,11 @@ class SdoClient:
             try:
                 client.download(index, sub, data)
             finally:
-                client.RESPONSE_TIMEOUT = self._timeout_s
+                client.RESPONSE_TIMEOUT = self.timeout_s
 
     def _time_out_s(self, index: int) -> float:
         """Time-out of the answer to a write: storing in a device's flash memory takes longer."""
-        return max(self._timeout_s, _STORED_S) if index in _STORED else self._timeout_s
+        return max(self.timeout_s, _STORED_S) if index in _STORED else self.timeout_s
 
     def receive_only_answers(self) -> None:
         """Receive SDO answers only from now on: the cyclic traffic is read elsewhere."""
@@ -180,7 +175,7 @@ class SdoClient:
 
     def _add(self, node_id: int, od: ObjectDictionary) -> None:
         node = self._network.add_node(node_id, with_mapped_pdos(od))
-        node.sdo.RESPONSE_TIMEOUT = self._timeout_s
+        node.sdo.RESPONSE_TIMEOUT = self.timeout_s
         node.sdo.MAX_RETRIES = 1  # one try: canopen counts down to zero before it gives up
         self._locks[node_id] = threading.Lock()
 

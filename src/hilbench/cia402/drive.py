@@ -80,7 +80,7 @@ class Drive:
         self.od = od
         self.pdos = drive_pdos(settings, od)
         self._tpdos = tuple((pdo.cob_id, pdo, indices) for _, pdo, indices in self.pdos.tpdos)
-        self._tpdo_period_s = (settings.tpdo_type or 1) * settings.cycle_s
+        self.tpdo_period_s = (settings.tpdo_type or 1) * settings.cycle_s  #: time between two of its TPDOs
         self.feedback = DriveFeedback()
         self.setpoint = 0.0
         self.goal = DriveGoal.COAST
@@ -90,7 +90,7 @@ class Drive:
         self._failed = True  # nothing to report before the first request
         self._waited_cycles = 0
         self._waiting_in: State | None = None
-        self._counter = UnwrappingCounter()
+        self.counter = UnwrappingCounter()  #: position counter in position units
         self._target = SETPOINT_OBJECTS[settings.mode]
         self._position_mode = self._target == objects.TARGET_POSITION
         #: Last value of each object that the TPDOs bring.
@@ -120,7 +120,7 @@ class Drive:
     @units.setter
     def units(self, units: DriveUnits) -> None:
         self._units = units
-        self._setpoint_unit = {
+        self.set_point_unit = {
             objects.TARGET_VELOCITY: units.velocity_rad_s,
             objects.TARGET_TORQUE: units.torque_Nm,
             objects.TARGET_POSITION: units.position_rad,
@@ -135,7 +135,9 @@ class Drive:
         the goal ENABLED by itself.
         """
         self._read_feedback(frames)
-        self._read_emergency(frames.get(self._emergency_cob_id))
+        emergency = frames.get(self._emergency_cob_id, b"")
+        if len(emergency) >= 2:
+            self.feedback.fault_code = int.from_bytes(emergency[:2], "little")
         self._advance()
         return self.feedback
 
@@ -153,29 +155,14 @@ class Drive:
             and self.controlword == self._sent_controlword == Command.ENABLE_OPERATION.value
             and not self._position_mode
             and self.feedback.fresh
-            and self._counter.value is not None
+            and self.counter.value is not None
             and objects.STATUSWORD in self._raw
         )
-
-    @property
-    def set_point_unit(self) -> float:
-        """One unit of the target object in SI."""
-        return self._setpoint_unit
 
     @property
     def most_raw(self) -> int:
         """Largest size of the target object's value."""
         return _RAW_LIMIT[self._target]
-
-    @property
-    def tpdo_period_s(self) -> float:
-        """Time between two of its TPDOs."""
-        return self._tpdo_period_s
-
-    @property
-    def counter(self) -> UnwrappingCounter:
-        """Position counter in position units."""
-        return self._counter
 
     def decoded_until(self, raw: Mapping[int, int | float]) -> None:
         """Account for TPDOs taken by the fast path: the last value of each mapped object."""
@@ -214,7 +201,7 @@ class Drive:
             return int(self._raw.get(objects.POSITION_ACTUAL_VALUE, 0)) if self._position_mode else 0
         if not isfinite(self.setpoint):
             raise self._error(f"set point is {self.setpoint}, expected a number")
-        raw = round(self.setpoint / self._setpoint_unit)
+        raw = round(self.setpoint / self.set_point_unit)
         if self._position_mode:
             return wrap_int32(raw)
         return self._in_range(raw, "set point")
@@ -222,7 +209,7 @@ class Drive:
     def _in_range(self, raw: int, what: str) -> int:
         limit = _RAW_LIMIT[self._target]
         if not -limit <= raw <= limit:
-            most = limit * self._setpoint_unit
+            most = limit * self.set_point_unit
             target = self.settings.object(self._target)
             raise self._error(f"{what} is {self.setpoint:g}, expected at most {most:g} (range of {target:X}h)")
         return raw
@@ -246,17 +233,13 @@ class Drive:
         feedback.statusword = statusword = int(raw[objects.STATUSWORD])
         feedback.state = decode_statusword(statusword)
         feedback.torque_Nm = raw[objects.TORQUE_ACTUAL_VALUE] * units.torque_Nm
-        first = self._counter.value is None
-        position_rad = self._counter.update(int(raw[objects.POSITION_ACTUAL_VALUE])) * units.position_rad
+        first = self.counter.value is None
+        position_rad = self.counter.update(int(raw[objects.POSITION_ACTUAL_VALUE])) * units.position_rad
         if self.settings.has_velocity:
             feedback.velocity_rad_s = raw.get(objects.VELOCITY_ACTUAL_VALUE, 0) * units.velocity_rad_s
         elif feedback.fresh and not first:
-            feedback.velocity_rad_s = (position_rad - feedback.position_rad) / self._tpdo_period_s
+            feedback.velocity_rad_s = (position_rad - feedback.position_rad) / self.tpdo_period_s
         feedback.position_rad = position_rad
-
-    def _read_emergency(self, data: bytes | None) -> None:
-        if data is not None and len(data) >= 2:
-            self.feedback.fault_code = int.from_bytes(data[:2], "little")
 
     # --- state transitions to the goal -------------------------------------------------------------------------------
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Final
@@ -55,47 +54,11 @@ class Firmware:
         self.torque_demand = cell(objects.TORQUE_DEMAND)
         self.vl_demand = cell(objects.VL_VELOCITY_DEMAND)
         self.vl_actual = cell(objects.VL_VELOCITY_ACTUAL_VALUE)
-        self._shows_vl = device.has(objects.VL_VELOCITY_ACTUAL_VALUE)
+        self.shows_vl = device.has(objects.VL_VELOCITY_ACTUAL_VALUE)
         self.digital_inputs = cell(objects.DIGITAL_INPUTS)
 
-        self._max_torque = cell(objects.MAX_TORQUE)
-        self._max_motor_speed = cell(objects.MAX_MOTOR_SPEED)
-        self._max_profile_velocity = cell(objects.MAX_PROFILE_VELOCITY)
-        self._profile_velocity = cell(objects.PROFILE_VELOCITY)
-        self._end_velocity = cell(objects.END_VELOCITY)
-        self._acceleration = cell(objects.PROFILE_ACCELERATION)
-        self._deceleration = cell(objects.PROFILE_DECELERATION)
-        self._quick_stop_deceleration = cell(objects.QUICK_STOP_DECELERATION)
-        self._torque_slope = cell(objects.TORQUE_SLOPE)
-        self._following_window = cell(objects.FOLLOWING_ERROR_WINDOW)
-        self._following_time = cell(objects.FOLLOWING_ERROR_TIME_OUT)
-        self._position_window = cell(objects.POSITION_WINDOW)
-        self._position_window_time = cell(objects.POSITION_WINDOW_TIME)
-        self._velocity_window = cell(objects.VELOCITY_WINDOW)
-        self._velocity_window_time = cell(objects.VELOCITY_WINDOW_TIME)
-        self._velocity_threshold = cell(objects.VELOCITY_THRESHOLD)
-        self._velocity_threshold_time = cell(objects.VELOCITY_THRESHOLD_TIME)
-        self._period_value = cell(objects.INTERPOLATION_TIME_PERIOD, 1)
-        self._period_index = cell(objects.INTERPOLATION_TIME_PERIOD, 2)
-        self._software_limits = [cell(objects.SOFTWARE_POSITION_LIMIT, sub) for sub in (1, 2)]
-        self._homing_speeds = [cell(objects.HOMING_SPEEDS, sub) for sub in (1, 2)]
-        self._homing_acceleration = cell(objects.HOMING_ACCELERATION)
-        self._vl_amounts = [cell(objects.VL_VELOCITY_MIN_MAX_AMOUNT, sub) for sub in (1, 2)]
-        self._vl_acceleration = [cell(objects.VL_VELOCITY_ACCELERATION, sub) for sub in (1, 2)]
-        self._vl_deceleration = [cell(objects.VL_VELOCITY_DECELERATION, sub) for sub in (1, 2)]
-        for parameter in (
-            *(self._max_torque, self._max_motor_speed, self._max_profile_velocity),
-            *(self._profile_velocity, self._end_velocity),
-            *(self._acceleration, self._deceleration, self._quick_stop_deceleration, self._torque_slope),
-            *(self._following_window, self._following_time, self._position_window, self._position_window_time),
-            *(self._velocity_window, self._velocity_window_time),
-            *(self._velocity_threshold, self._velocity_threshold_time),
-            *(self._period_value, self._period_index, *self._software_limits),
-            *(*self._homing_speeds, self._homing_acceleration),
-            *(*self._vl_amounts, *self._vl_acceleration, *self._vl_deceleration),
-        ):
-            parameter.on_write = self._parameter_written
-
+        self._device = device
+        self._parameters: dict[tuple[int, int], Cell] = {}
         #: Inputs in addition to the encoder; None: none.
         self.switches: Switches | None = None
         #: Time until the plant has advanced by this cycle's set points (s).
@@ -104,8 +67,16 @@ class Firmware:
         self.position_origin = 0
         #: The encoder's reading in position units, not wrapped, without the origin.
         self.encoder_count = 0
-        self._shown_mode = MotorMode.OFF
+        self.shown_mode = MotorMode.OFF  #: mode whose demand the objects show
         self.refresh()
+
+    def _value(self, index: int, sub: int = 0) -> int:
+        """Value of a parameter, whose change makes the settings stale."""
+        parameter = self._parameters.get((index, sub))
+        if parameter is None:
+            parameter = self._parameters[index, sub] = cell_of(self._device, self.units, index, sub)
+            parameter.on_write = self._parameter_written
+        return int(parameter.value)
 
     def _parameter_written(self, _value: object) -> None:
         self.stale = True
@@ -118,50 +89,46 @@ class Firmware:
     def refresh(self) -> None:
         """Derive the settings from the parameter objects."""
         self.stale = False
-        units = self.units
-        self.motor_speed_limit_rad_s = int(self._max_motor_speed.value) * RPM or inf
-        profile_limit = int(self._max_profile_velocity.value) * units.velocity_rad_s or inf
+        units, value = self.units, self._value
+        self.motor_speed_limit_rad_s = value(objects.MAX_MOTOR_SPEED) * RPM or inf
+        profile_limit = value(objects.MAX_PROFILE_VELOCITY) * units.velocity_rad_s or inf
         self.velocity_limit_rad_s = min(self.motor_speed_limit_rad_s, profile_limit)
         self.overspeed_rad_s = self.motor_speed_limit_rad_s * OVERSPEED_RATIO
-        self.torque_limit_Nm = int(self._max_torque.value) * units.torque_Nm
-        self.profile_velocity_rad_s = int(self._profile_velocity.value) * units.velocity_rad_s
-        self.end_velocity_rad_s = int(self._end_velocity.value) * units.velocity_rad_s
-        self.acceleration_rad_s2 = int(self._acceleration.value) * units.acceleration_rad_s2
-        self.deceleration_rad_s2 = int(self._deceleration.value) * units.acceleration_rad_s2
-        self.quick_stop_deceleration_rad_s2 = int(self._quick_stop_deceleration.value) * units.acceleration_rad_s2
-        self.torque_slope_Nm_s = int(self._torque_slope.value) * units.torque_Nm
-        window = int(self._following_window.value)
+        self.torque_limit_Nm = value(objects.MAX_TORQUE) * units.torque_Nm
+        self.profile_velocity_rad_s = value(objects.PROFILE_VELOCITY) * units.velocity_rad_s
+        self.end_velocity_rad_s = value(objects.END_VELOCITY) * units.velocity_rad_s
+        self.acceleration_rad_s2 = value(objects.PROFILE_ACCELERATION) * units.acceleration_rad_s2
+        self.deceleration_rad_s2 = value(objects.PROFILE_DECELERATION) * units.acceleration_rad_s2
+        self.quick_stop_deceleration_rad_s2 = value(objects.QUICK_STOP_DECELERATION) * units.acceleration_rad_s2
+        self.torque_slope_Nm_s = value(objects.TORQUE_SLOPE) * units.torque_Nm
+        window = value(objects.FOLLOWING_ERROR_WINDOW)
         self.following_window = inf if window == NO_WINDOW else window
-        self.following_time_s = int(self._following_time.value) / 1000.0
-        window = int(self._position_window.value)
+        self.following_time_s = value(objects.FOLLOWING_ERROR_TIME_OUT) / 1000.0
+        window = value(objects.POSITION_WINDOW)
         self.position_window = inf if window == NO_WINDOW else window
-        self.position_window_time_s = int(self._position_window_time.value) / 1000.0
-        low, high = (int(limit.value) for limit in self._software_limits)
+        self.position_window_time_s = value(objects.POSITION_WINDOW_TIME) / 1000.0
+        low, high = (value(objects.SOFTWARE_POSITION_LIMIT, sub) for sub in (1, 2))
         #: 607Dh in position units; None: both are 0, or the lower is not below the upper.
         self.software_limits = (low, high) if low < high else None
-        self.velocity_window_rad_s = int(self._velocity_window.value) * units.velocity_rad_s
-        self.velocity_window_time_s = int(self._velocity_window_time.value) / 1000.0
-        self.standstill_rad_s = int(self._velocity_threshold.value) * units.velocity_rad_s
-        self.standstill_time_s = int(self._velocity_threshold_time.value) / 1000.0
-        self.interpolation_period_s = int(self._period_value.value) * 10.0 ** int(self._period_index.value)
-        fast, slow = (int(speed.value) * units.velocity_rad_s for speed in self._homing_speeds)
+        self.velocity_window_rad_s = value(objects.VELOCITY_WINDOW) * units.velocity_rad_s
+        self.velocity_window_time_s = value(objects.VELOCITY_WINDOW_TIME) / 1000.0
+        self.standstill_rad_s = value(objects.VELOCITY_THRESHOLD) * units.velocity_rad_s
+        self.standstill_time_s = value(objects.VELOCITY_THRESHOLD_TIME) / 1000.0
+        period, power = (value(objects.INTERPOLATION_TIME_PERIOD, sub) for sub in (1, 2))
+        self.interpolation_period_s = period * 10.0**power
+        fast, slow = (value(objects.HOMING_SPEEDS, sub) * units.velocity_rad_s for sub in (1, 2))
         self.homing_switch_speed_rad_s, self.homing_zero_speed_rad_s = fast, slow
-        self.homing_acceleration_rad_s2 = int(self._homing_acceleration.value) * units.acceleration_rad_s2
-        slowest, fastest = (int(amount.value) * RPM for amount in self._vl_amounts)
+        self.homing_acceleration_rad_s2 = value(objects.HOMING_ACCELERATION) * units.acceleration_rad_s2
+        slowest, fastest = (value(objects.VL_VELOCITY_MIN_MAX_AMOUNT, sub) * RPM for sub in (1, 2))
         self.vl_slowest_rad_s, self.vl_fastest_rad_s = slowest, min(fastest or inf, self.motor_speed_limit_rad_s)
-        self.vl_acceleration_rad_s2 = _ramp_rad_s2(self._vl_acceleration)
-        self.vl_deceleration_rad_s2 = _ramp_rad_s2(self._vl_deceleration)
+        self.vl_acceleration_rad_s2 = self._ramp_rad_s2(objects.VL_VELOCITY_ACCELERATION)
+        self.vl_deceleration_rad_s2 = self._ramp_rad_s2(objects.VL_VELOCITY_DECELERATION)
         self.port.torque_limit_Nm = self.torque_limit_Nm
 
-    @property
-    def shown_mode(self) -> MotorMode:
-        """Mode whose demand the objects show."""
-        return self._shown_mode
-
-    @property
-    def shows_vl(self) -> bool:
-        """True if the device has the actual value of the velocity mode."""
-        return self._shows_vl
+    def _ramp_rad_s2(self, index: int) -> float:
+        """A ramp of the velocity mode: delta speed in rpm by delta time in s; without a time, at once."""
+        speed, time_s = self._value(index, 1), self._value(index, 2)
+        return speed * RPM / time_s if time_s else inf
 
     def show(self) -> None:
         """Write the port's feedback and demands into the objects, in device units.
@@ -183,7 +150,7 @@ class Firmware:
         self.position_actual.value = position
         self.velocity_actual.value = velocity
         self.torque_actual.value = max(-_INT16_MAX, min(_INT16_MAX, torque))
-        if self._shows_vl:
+        if self.shows_vl:
             self.vl_actual.value = max(-_INT16_MAX, min(_INT16_MAX, round(port.velocity_rad_s / RPM)))
         if self.switches is not None:
             self.digital_inputs.value = self.switches.inputs(port.position_rad)
@@ -192,8 +159,8 @@ class Firmware:
     def _show_demands(self, position: int) -> None:
         """Demand of the loop that is closed; the others show no demand (position: the actual one)."""
         port, units, mode = self.port, self.units, self.port.mode
-        if mode is not self._shown_mode:
-            self._shown_mode = mode
+        if mode is not self.shown_mode:
+            self.shown_mode = mode
             self.following_error.value = self.velocity_demand.value = self.torque_demand.value = 0
         if mode is MotorMode.POSITION:
             demand = round(port.reference / units.position_rad)
@@ -209,9 +176,3 @@ class Firmware:
         """Set `position` (position units) as that at the encoder count `at_count` (None: the present one)."""
         self.position_origin = position - (self.encoder_count if at_count is None else at_count)
         self.position_actual.value = wrap_int32(self.encoder_count + self.position_origin)
-
-
-def _ramp_rad_s2(delta: Sequence[Cell]) -> float:
-    """A ramp of the velocity mode: delta speed in rpm by delta time in s; without a time, at once."""
-    speed, time_s = (int(part.value) for part in delta)
-    return speed * RPM / time_s if time_s else inf

@@ -102,18 +102,15 @@ class CyclicSynchronousPosition(Mode):
         target_rad = firmware.angle_rad(target)
         if target != self._target:
             self._target = target
-            self._approach_rad_s = self._approach(target_rad)
+            port, period_s = self._firmware.port, self._firmware.interpolation_period_s
+            reference_rad = port.reference if port.mode is MotorMode.POSITION else port.position_rad
+            # The speed that bridges the distance to the new target in the interpolation period.
+            self._approach_rad_s = abs(target_rad - reference_rad) / period_s if period_s > 0.0 else inf
         self._set(target_rad, self._limit(self._approach_rad_s, firmware.velocity_limit_rad_s))
 
     def _asked(self) -> int:
         """The target of this cycle, in position units."""
         return int(self._firmware.target_position.value)
-
-    def _approach(self, target_rad: float) -> float:
-        """Speed (rad/s) that bridges the distance to a new target in the interpolation period."""
-        port, period_s = self._firmware.port, self._firmware.interpolation_period_s
-        reference_rad = port.reference if port.mode is MotorMode.POSITION else port.position_rad
-        return abs(target_rad - reference_rad) / period_s if period_s > 0.0 else inf
 
     def status(self, dt_s: float) -> int:
         """Bit 12: the drive follows; bit 13: the following error is outside its window."""

@@ -15,14 +15,14 @@ from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Final
 
-from hilbench.canopen.device import Cell, SdoAbort
+from hilbench.canopen.device import SdoAbort
 from hilbench.canopen.identifiers import NmtState
 from hilbench.cia402 import objects
 from hilbench.cia402.assumed import cell_of
 from hilbench.cia402.axis import AxisDevice, also, object_of, objects_behind
 from hilbench.cia402.firmware import Firmware
 from hilbench.cia402.homing import NO_METHOD, PRESENT_POSITION, WITH_SWITCHES
-from hilbench.cia402.mode import DebouncedCondition, Mode
+from hilbench.cia402.mode import DebouncedCondition
 from hilbench.cia402.modes import MODES
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.state_machine import (
@@ -128,21 +128,21 @@ class SimulatedDrive:
                     f"object {object_of(axis, index):04X}h is missing, expected that of a CiA-402 drive",
                 )
         self._device = own = AxisDevice(device, axis)
-        self._firmware = Firmware(own, port, units or DriveUnits.from_objects(object_reader(own)))
-        self._firmware.switches = switches
+        self.firmware = Firmware(own, port, units or DriveUnits.from_objects(object_reader(own)))
+        self.firmware.switches = switches
         probed = own.has(objects.TOUCH_PROBE_FUNCTION)
-        self._probes = TouchProbes(own, self._firmware) if probed else None
-        self._stop = Stop(self._firmware)
+        self._probes = TouchProbes(own, self.firmware) if probed else None
+        self._stop = Stop(self.firmware)
         supported = supported_modes(own)
         if own.has(objects.SUPPORTED_DRIVE_MODES) and not own.cell(objects.SUPPORTED_DRIVE_MODES).value:
             own.cell(objects.SUPPORTED_DRIVE_MODES).on_read = lambda: supported
         self._modes = {
-            code: kind(self._firmware)
+            code: kind(self.firmware)
             for code, kind in MODES.items()
             if code is OperationMode.NONE or supported & code.supported_bit
         }
-        cell = partial(cell_of, own, self._firmware.units)
-        self._statusword = own.cell(objects.STATUSWORD)
+        cell = partial(cell_of, own, self.firmware.units)
+        self.statusword = own.cell(objects.STATUSWORD)  #: the object 6041h
         self._error_code = cell(objects.ERROR_CODE)
         self._mode_request = cell(objects.MODES_OF_OPERATION)
         self._mode_display = cell(objects.MODES_OF_OPERATION_DISPLAY)
@@ -151,14 +151,14 @@ class SimulatedDrive:
             self._options[index].on_write = partial(_only, codes)
         self._state_change_s = state_change_s
         self._pending: tuple[Transition, float] | None = None
-        self._firmware.controlword.on_write = self._controlword_written
+        self.firmware.controlword.on_write = self._controlword_written
         self._mode_request.on_write = self._mode_written
-        self._firmware.homing_method.on_write = self._homing_method_written
+        self.firmware.homing_method.on_write = self._homing_method_written
         failing = SIMULATED_FAULT + objects_behind(axis)
         if device.has(failing) and device.cell(failing).variable.name.startswith(_FAULT_ON_COMMAND):
             device.cell(failing).on_write = self._simulated_fault_written
         device.on_nmt = also(device.on_nmt, self._nmt_changed)
-        device.on_communication_error = also(device.on_communication_error, self._communication_error)
+        device.on_communication_error = also(device.on_communication_error, self._connection_lost)
         device.on_emergency_stop = also(device.on_emergency_stop, self._emergency_stop)
         self._operational = False
         #: Error codes of active EMCY messages.
@@ -172,63 +172,40 @@ class SimulatedDrive:
         self._outside_window = DebouncedCondition()
         self._error_code.value = 0
         self._reported.clear()
-        self._firmware.refresh()
+        self.firmware.refresh()
         self._apply(Transition.T0_START)
-        self._requested_mode = self._stored_mode()
+        stored = int(self._mode_request.value)
+        self._requested_mode = OperationMode(stored) if stored in self._modes else OperationMode.NONE
         self._take_mode()
         self._apply(Transition.T1_SELF_TEST_DONE)
         self._show_status(0.0)
-
-    def _stored_mode(self) -> OperationMode:
-        stored = int(self._mode_request.value)
-        return OperationMode(stored) if stored in self._modes else OperationMode.NONE
-
-    @property
-    def state(self) -> State:
-        """The power state."""
-        return self._state
-
-    @property
-    def firmware(self) -> Firmware:
-        """Objects, port, units and settings of the firmware."""
-        return self._firmware
-
-    @property
-    def statusword(self) -> Cell:
-        """The object 6041h."""
-        return self._statusword
-
-    @property
-    def mode(self) -> Mode:
-        """The mode of operation that acts."""
-        return self._mode
 
     def follows(self, controlword: int) -> bool:
         """True if it is in OPERATION ENABLED by this controlword and follows a cyclic velocity or torque: then only
         its target and its feedback change until something is written, or a fault comes."""
         return (
-            self._state is State.OPERATION_ENABLED
+            self.state is State.OPERATION_ENABLED
             and self._controlword == controlword
             and self._pending is None
             and not self._stop.active
             and self._requested_mode is self._mode_code
             and self._mode_code in _FOLLOWING
-            and self._firmware.port.mode is self._mode.motor_mode is self._firmware.shown_mode
-            and not self._firmware.stale
-            and self._firmware.switches is None
+            and self.firmware.port.mode is self.mode.motor_mode is self.firmware.shown_mode
+            and not self.firmware.stale
+            and self.firmware.switches is None
             and (self._probes is None or self._probes.idle)
         )
 
     @property
     def following_bits(self) -> int:
         """Statusword of a drive that follows, except its internal limit bit."""
-        return self._state_bits | self._mode.status(self._dt_s)
+        return self._state_bits | self.mode.status(self._dt_s)
 
     def published_until(self, encoder_count: int, *, limited: bool) -> None:
         """Account for feedback published by the fast path: the encoder in position units, and whether a limit cut
         the set point."""
-        self._firmware.encoder_count = encoder_count
-        self._mode.limited = limited
+        self.firmware.encoder_count = encoder_count
+        self.mode.limited = limited
         if self._probes is not None:
             self._probes.update()
 
@@ -236,9 +213,9 @@ class SimulatedDrive:
 
     def sync(self, dt_s: float) -> None:
         """Take this cycle's targets as set points of the motor; the plant advances by `dt_s` (seconds) after it."""
-        self._dt_s = self._firmware.dt_s = dt_s
-        if self._firmware.stale:
-            self._firmware.refresh()
+        self._dt_s = self.firmware.dt_s = dt_s
+        if self.firmware.stale:
+            self.firmware.refresh()
         if not self._powered:
             return
         if self._requested_mode is not self._mode_code and self._stop.then is None:
@@ -246,11 +223,11 @@ class SimulatedDrive:
         if self._stop.active:
             self._stop.command()
         else:
-            self._mode.command()
+            self.mode.command()
 
     def publish(self) -> None:
         """Show the motor's feedback in the objects, supervise it, and bring the statusword up to date."""
-        self._firmware.show()
+        self.firmware.show()
         if self._probes is not None:
             self._probes.update()
         if self._pending is not None:
@@ -262,7 +239,7 @@ class SimulatedDrive:
         self._show_status(self._dt_s)
 
     def _supervise(self) -> None:
-        firmware, mode = self._firmware, self._mode
+        firmware, mode = self.firmware, self.mode
         if not abs(firmware.port.velocity_rad_s) <= firmware.overspeed_rad_s:  # no number is too fast as well
             self.fault(ERROR_OVERSPEED)
         if mode.follows_position:
@@ -277,16 +254,16 @@ class SimulatedDrive:
             if self._stop.active:
                 bits |= STATUS_TARGET_REACHED if self._stop.at_rest else 0
             else:
-                bits |= self._mode.status(dt_s)
-            if self._mode.limited or self._firmware.port.torque_limited:
+                bits |= self.mode.status(dt_s)
+            if self.mode.limited or self.firmware.port.torque_limited:
                 bits |= STATUS_INTERNAL_LIMIT
-        self._statusword.value = bits
+        self.statusword.value = bits
 
     # --- power state machine -----------------------------------------------------------------------------------------
 
     def _controlword_written(self, controlword: int) -> None:
         previous, self._controlword = self._controlword, controlword
-        transition = commanded(self._state, controlword, previous)
+        transition = commanded(self.state, controlword, previous)
         if transition in _DELAYED and self._state_change_s > 0.0:
             if self._pending is None or self._pending[0] is not transition:
                 self._pending = transition, self._state_change_s
@@ -302,14 +279,14 @@ class SimulatedDrive:
         if left_s - self._dt_s <= 0.0:
             self._pending = None
             self._perform(transition)
-            following = commanded(self._state, self._controlword, self._controlword)
+            following = commanded(self.state, self._controlword, self._controlword)
             if following in _DELAYED:
                 self._pending = following, self._state_change_s
 
     def _obey(self, transition: Transition | None, controlword: int, previous: int) -> None:
         while transition is not None and self._perform(transition):
-            transition = commanded(self._state, controlword, previous)
-        if self._state is State.OPERATION_ENABLED:
+            transition = commanded(self.state, controlword, previous)
+        if self.state is State.OPERATION_ENABLED:
             self._follow(controlword, previous)
         if controlword != previous:
             self._show_status(0.0)
@@ -331,7 +308,7 @@ class SimulatedDrive:
 
     def _apply(self, transition: Transition) -> None:
         """Enter the state that the transition leads to."""
-        self._state = state = DESTINATION[transition]
+        self.state = state = DESTINATION[transition]
         self._state_bits = state.value | STATUS_VOLTAGE_ENABLED | STATUS_REMOTE
         self._powered = state in POWERED
         if not self._powered:
@@ -339,10 +316,10 @@ class SimulatedDrive:
             self._switch_off()
         elif state is State.OPERATION_ENABLED:
             self._stop.end()
-            self._mode.enter()
+            self.mode.enter()
 
     def _switch_off(self) -> None:
-        port = self._firmware.port
+        port = self.firmware.port
         port.mode = MotorMode.OFF
         port.setpoint = 0.0
         port.slope = inf
@@ -359,14 +336,14 @@ class SimulatedDrive:
         elif stop.active and not halt:
             stop.end()
             if disabling:
-                self._mode.enter()
+                self.mode.enter()
             else:
-                self._mode.resume()
+                self.mode.resume()
         if not halt:
-            self._mode.follow_controlword(controlword, previous)
+            self.mode.follow_controlword(controlword, previous)
 
     def _begin_stop(self, kind: StopKind, then: Transition | None) -> None:
-        self._stop.begin(kind, self._mode.motor_mode is MotorMode.TORQUE, then)
+        self._stop.begin(kind, self.mode.motor_mode is MotorMode.TORQUE, then)
 
     def _begin_halt(self) -> None:
         self._begin_stop(StopKind(self._options[objects.HALT_OPTION_CODE].value), then=None)
@@ -393,15 +370,15 @@ class SimulatedDrive:
 
     def _take_mode(self) -> None:
         self._mode_code = self._requested_mode
-        self._mode = self._modes[self._mode_code]
+        self.mode = self._modes[self._mode_code]
         self._mode_display.value = int(self._mode_code)
         if self._stop.active:  # halted: continue with the stop of the new mode
             self._begin_halt()
-        self._mode.enter()
+        self.mode.enter()
 
     def _homing_method_written(self, method: int) -> None:
         if method != NO_METHOD and method not in (
-            PRESENT_POSITION if self._firmware.switches is None else WITH_SWITCHES
+            PRESENT_POSITION if self.firmware.switches is None else WITH_SWITCHES
         ):
             raise SdoAbort(_ABORT_VALUE_RANGE)
 
@@ -413,7 +390,7 @@ class SimulatedDrive:
         `register`: bits of 1001h. `coast`: the drive cannot brake any more (lost encoder, power stage). A fault
         during a fault is not noted.
         """
-        if self._state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        if self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             self._report(code, register)
             self._fail(code, coast)
 
@@ -443,7 +420,7 @@ class SimulatedDrive:
     def _clear_fault(self) -> bool:
         """End the fault if its cause has vanished; true if it ended."""
         code = int(self._error_code.value)
-        firmware = self._firmware
+        firmware = self.firmware
         if code == ERROR_OVERSPEED and abs(firmware.port.velocity_rad_s) > firmware.motor_speed_limit_rad_s:
             return False
         self._error_code.value = 0
@@ -460,13 +437,9 @@ class SimulatedDrive:
 
     # --- the connection to the master --------------------------------------------------------------------------------
 
-    def _communication_error(self, code: int) -> None:
-        """The device lost its master (its runtime has sent the EMCY already)."""
-        self._connection_lost(code)
-
     def _emergency_stop(self) -> None:
         """Quick stop at once, independent of 6007h: the command does not come from a connection that was lost."""
-        if self._state is State.OPERATION_ENABLED:
+        if self.state is State.OPERATION_ENABLED:
             self._quick_stop()
             self._show_status(0.0)
 
@@ -476,13 +449,13 @@ class SimulatedDrive:
             self._apply(Transition.T0_START)
             self._operational = False
             return
-        if self._state is State.NOT_READY_TO_SWITCH_ON:
+        if self.state is State.NOT_READY_TO_SWITCH_ON:
             self._power_on()
         left = self._operational and state is not NmtState.OPERATIONAL
         self._operational = state is NmtState.OPERATIONAL
-        if self._operational and self._state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        if self._operational and self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             self._take_back(ERROR_COMMUNICATION)  # by 6007h it was no fault
-        if left and self._state is State.OPERATION_ENABLED:
+        if left and self.state is State.OPERATION_ENABLED:
             # Set points come no more: an enabled drive would run on with the last one.
             self._report(ERROR_COMMUNICATION, REGISTER_COMMUNICATION)
             self._connection_lost(ERROR_COMMUNICATION)
@@ -490,13 +463,13 @@ class SimulatedDrive:
     def _connection_lost(self, code: int) -> None:
         """React to a lost connection by 6007h: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
         option = self._options[objects.ABORT_CONNECTION_OPTION_CODE].value
-        if self._state not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
+        if self.state not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
             return
         if option == 1:
             self._fail(code)
         elif option == 2:
             self._apply(Transition.T9_DISABLE_VOLTAGE)
-        elif option == 3 and self._state is State.OPERATION_ENABLED:
+        elif option == 3 and self.state is State.OPERATION_ENABLED:
             self._quick_stop()
         self._show_status(0.0)
 

@@ -143,22 +143,17 @@ class UnwrappingCounter:
     def __init__(self) -> None:
         #: The unwrapped value after the last reading; None before the first.
         self.value: int | None = None
-        self._last = 0
-
-    @property
-    def last(self) -> int:
-        """The last reading."""
-        return self._last
+        self.last = 0  #: the last reading
 
     def counted_until(self, value: int, last: int) -> None:
         """Account for readings followed by the fast path: the unwrapped value, and the last reading."""
-        self.value, self._last = value, last
+        self.value, self.last = value, last
 
     def update(self, reading: int) -> int:
         """The unwrapped value after a new reading; the first reading is taken as it is."""
         if self.value is None:
             self.value = reading
         else:
-            self.value += wrap_int32(reading - self._last)
-        self._last = reading
+            self.value += wrap_int32(reading - self.last)
+        self.last = reading
         return self.value

@@ -36,7 +36,7 @@ class Tpdo:
     wrong_size: int = 0  #: frames of this cycle
     _owed: int = 0  # answers; cycles where they come every few SYNCs
     _steady: int = 0
-    _since: int = 1 << 30  # cycles since the last that was used
+    since: int = 1 << 30  # cycles since the last that was used
     _used: bytes = b""
     _is_back: bool = False
     _before: list[bytes] = field(default_factory=list)
@@ -77,9 +77,9 @@ class Tpdo:
         if data is not None:
             self._used = data
         if self.every == 1:
-            self._since += cycles
+            self.since += cycles
         else:
-            self._since = since if data is not None else self._since + cycles
+            self.since = since if data is not None else self.since + cycles
 
     def _pass_steadily(self, cycles: int) -> None:
         """Count `cycles` cycles of one answer each."""
@@ -88,11 +88,6 @@ class Tpdo:
             self._owed, self._steady = self._owed - 1, 0
         self._steady = self._steady + cycles if self._owed else 0
 
-    @property
-    def since(self) -> int:
-        """Cycles since one was used."""
-        return self._since
-
     def supervise(self, supervised: bool) -> None:
         """Stop or resume supervision of the sender: nothing is owed from before; it may catch up on missed SYNCs."""
         self.supervised, self._is_back = False, supervised
@@ -100,7 +95,7 @@ class Tpdo:
 
     def end(self, other_syncs: int) -> None:
         """Evaluate the complete frames of the cycle; `other_syncs` were on the bus in addition to the cycle's own."""
-        self._since += 1 + other_syncs
+        self.since += 1 + other_syncs
         if not self.supervised:
             taken = self._before + self._behind
             self._use(taken[-1] if taken else None, in_time=bool(self._behind))
@@ -140,14 +135,14 @@ class Tpdo:
         """Evaluate a PDO of every n-th SYNC. Its phase may move when a SYNC is received twice or missed; its rate does
         not double. After a late one the next comes as much sooner (`_owed`, here in cycles)."""
         taken = self._before + self._behind
-        while taken and self._since + self._owed > self.every // 2:
+        while taken and self.since + self._owed > self.every // 2:
             self._use(taken.pop(0), in_time=True)
-            late = self._since - self.every
+            late = self.since - self.every
             silent = late > _MOST_OWED * self.every
             if late > 0:
                 self._steady = 0
             self._owed = 0 if silent else max(0, self._owed + late)
-            self._since = 0
+            self.since = 0
         self._steady = self._steady + 1 if self._owed else 0
         if self._steady >= _LOST_CYCLES:
             self._owed = self._steady = 0

@@ -8,9 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from typing import Any, Protocol
-
-from numpy.typing import NDArray
+from typing import Protocol
 
 from hilbench.can.confinement import ControllerState
 from hilbench.can.link import Link
@@ -94,8 +92,9 @@ class Exchange:
     ) -> None:
         config = nodes.config
         self.in_step = in_process or config.pace == "lockstep"  #: participants wait for SYNC, and SYNC for them
-        self._by_clock = in_process and config.pace == "realtime"
-        self._nodes = nodes
+        self.runs_by_clock = in_process and config.pace == "realtime"
+        self.counted = nodes.measured.counted  #: counters, a record `exchange.measured.COUNTED`, after each cycle
+        self._nodes, self._link = nodes, link
         self._own = MasterNode(config.master.node_id, objects)
         self._sync = sync = SyncCycle(
             link,
@@ -124,7 +123,7 @@ class Exchange:
         nodes, sync, own = self._nodes, self._sync, self._own
         nodes.unexpected_frames = []
         self._foreign_before, self._foreign_between = self._foreign_between, []
-        if self._by_clock:
+        if self.runs_by_clock:
             sync.wait_for_turn()
         try:
             if self._fast_path is not None and self._fast_path.cycle(outputs):
@@ -153,20 +152,6 @@ class Exchange:
     def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> AbstractContextManager[ExchangeStages | None]:
         """Compiled stages of cycles (`FastPathCycles.chained`); None without a fast path."""
         return self._fast_path.chained(sample, shown) if self._fast_path is not None else nullcontext()
-
-    @property
-    def runs_by_clock(self) -> bool:
-        """True if participants in this process wait for SYNC, and each SYNC is due by the wall clock."""
-        return self._by_clock
-
-    @property
-    def counted(self) -> NDArray[Any]:
-        """Counters, a record `exchange.measured.COUNTED`, updated after each cycle."""
-        return self._nodes.measured.counted
-
-    def filling(self, sample: CycleSample) -> CompiledStage:
-        """Compiled stage of `Inputs.fill`."""
-        return self._nodes.measured.filling(sample)
 
     def use(self, made: Callable[[SyncCycle, MasterNode], FastPathCycles | None]) -> None:
         """Set the fast path: `made` creates it from the SYNC cycle and the bench's node."""
@@ -204,9 +189,9 @@ class Exchange:
     @property
     def lost_frames(self) -> int | None:
         """Frames the bench's own connection has lost because it was not read in time; None: not known there."""
-        return self._sync.lost_frames
+        return self._link.dropped
 
     @property
     def controller(self) -> ControllerState:
         """State of the bench's own CAN controller."""
-        return self._sync.controller
+        return self._link.controller

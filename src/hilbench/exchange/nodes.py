@@ -31,7 +31,7 @@ from hilbench.exchange.sync_cycle import ExpectedPdo
 from hilbench.exchange.unexpected_senders import Owned, Unexpected, UnexpectedSenders
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
-from hilbench.topology.sample import CycleSample, sample_type
+from hilbench.topology.sample import sample_type
 
 #: Heartbeats that may stay away before a node counts as lost (lost frames are no lost node).
 _HEARTBEATS_MISSED = 4
@@ -72,9 +72,9 @@ class Nodes:
             tuple(Drive(settings_of(config, part, self._ods[part.name]), self._ods[part.name]) for part in group)
             for group in map(config.parts_of, (Role.AXIS, Role.LOAD_MOTOR, Role.VIRTUAL_AXIS))
         )
-        self._drives = (*self.axes, *self.load_motors)
+        self.drives = (*self.axes, *self.load_motors)  #: the real (or simulated) drives: the axes, then the load motors
         self.io = io or IoMaps.of(config, self._ods["virtual_io"])
-        self._boundary_names = tuple(signal.name for signal in self.io.data.boundary_inputs)
+        self.boundary_names = tuple(signal.name for signal in self.io.data.boundary_inputs)
         self._boundary_values = [
             (pdo, tuple(signal.name for signal in content.signals))
             for pdo, content in zip(self.io.boundary, self.io.data.boundary, strict=True)
@@ -84,8 +84,11 @@ class Nodes:
             for pdo, content in zip(self.io.sent, self.io.data.sent, strict=True)
         ]
         self._rad_per_unit = [config.machine.motor_rad_per_unit(axis) for axis in range(1, len(self.axes) + 1)]
-        self._set_points = [
-            *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), self._per_output(), strict=True),
+        # Of a velocity the machine's unit to motor rad, of a torque 1.
+        factors = [1.0 if axis in config.shape.torqued else k for axis, k in enumerate(self._rad_per_unit, 1)]
+        #: Each drive in the order of its RPDO, with the name of its set point and the factor into motor units.
+        self.set_points = [
+            *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), factors, strict=True),
             *((drive, name, 1.0) for drive, name in zip(self.load_motors, config.load_motors, strict=True)),
         ]
         on_nodes = config.parts_by_node
@@ -104,6 +107,7 @@ class Nodes:
         self.measured = Measured(
             sample_type(config.signals), self._shown_by, [names for _, names in self._virtual_io_values], torques
         )
+        self.fill = self.measured.fill
         self._status_cob_id = self.io.status.cob_id
         self._counted = self.measured.counted[0]
         self.twin_reported_cycle = 0  #: cycle, counted by `decode`, in which the twin last reported its status
@@ -112,15 +116,15 @@ class Nodes:
         self.twin_alive = False  #: a heartbeat or boot-up of the virtual I/O has come since this was last reset
         self._inbox = EmergencyInbox()
         self.malformed = 0  #: frames with the COB-ID, but not the length, of a PDO that the bench reads
-        self._tpdos = {
+        self.answers = {
             pdo.cob_id: Tpdo(pdo.cob_id, pdo.size, pdo.period, self.sender(drive))
             for drive in self.drives
             for _, pdo, _ in drive.pdos.tpdos
         }
-        self._tpdos_of = [[self._tpdos[pdo.cob_id] for _, pdo, _ in drive.pdos.tpdos] for drive in self.drives]
+        self._tpdos_of = [[self.answers[pdo.cob_id] for _, pdo, _ in drive.pdos.tpdos] for drive in self.drives]
         self._in_time = self._ages_cycles = (0,) * len(self._tpdos_of)
         self._twin_tpdos = [Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name) for _, pdo in self.io.tpdos]
-        self._tpdos |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
+        self.answers |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
         self._watch: UnexpectedSenders | None = None  # from when the master is known
         self.unexpected_frames: list[Unexpected] = []  #: of this cycle, neither the bench's nor its nodes'
         self._cycle = 0
@@ -129,11 +133,6 @@ class Nodes:
         self.supervised = 0  #: number of changes in the supervision of the twin
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
-
-    def _per_output(self) -> list[float]:
-        """Factor of each axis's output: machine unit to motor rad for a velocity, 1 for a torque."""
-        torqued = self.config.shape.torqued
-        return [1.0 if axis in torqued else ratio for axis, ratio in enumerate(self._rad_per_unit, 1)]
 
     def _drive_signals(self) -> list[ShownBy]:
         """Signals that each drive fills, in the order of `drives`."""
@@ -163,11 +162,6 @@ class Nodes:
     def filled(self) -> frozenset[str]:
         """The signals of the drives that `fill` puts into a sample."""
         return frozenset(name for shown in self._shown_by for name in shown.signals if name)
-
-    @property
-    def drives(self) -> Sequence[Drive]:
-        """The real (or simulated) drives: the axes, then the load motors."""
-        return self._drives
 
     @property
     def emergencies(self) -> Mapping[Emergency, int]:
@@ -356,7 +350,7 @@ class Nodes:
         (N·m), zero where there is none; by signal the boundary inputs of the twin.
         """
         frames: list[Frame] = []
-        for drive, name, per_unit in self._set_points:
+        for drive, name, per_unit in self.set_points:
             drive.setpoint = outputs.get(name, 0.0) * per_unit
             frames += drive.encode()
         for pdo, names in self._boundary_values:
@@ -372,7 +366,7 @@ class Nodes:
         data = self._answers(frames, before_sync, elapsed_cycles - self._elapsed_cycles)
         self._elapsed_cycles = elapsed_cycles
         for can_id, content, _ in frames:
-            if can_id in self._tpdos:
+            if can_id in self.answers:
                 continue
             data[can_id] = content
             if HEARTBEAT < can_id <= HEARTBEAT + LAST_NODE:
@@ -407,7 +401,7 @@ class Nodes:
 
     def _answers(self, frames: Sequence[Frame], before_sync: int, elapsed_cycles: int) -> dict[int, bytes]:
         """Answers to this SYNC by COB-ID; surplus frames are counted, and are in `unexpected_frames`."""
-        tpdos = self._tpdos
+        tpdos = self.answers
         for tpdo in tpdos.values():
             tpdo.begin()
         other_syncs = elapsed_cycles
@@ -453,7 +447,7 @@ class Nodes:
     def fits_fast_path(self) -> bool:
         """True if all drives are enabled and follow their set points, and all answers come regularly."""
         return all(drive.fits_fast_path for drive in self.drives) and all(
-            tpdo.is_regular for tpdo in self._tpdos.values()
+            tpdo.is_regular for tpdo in self.answers.values()
         )
 
     @property
@@ -464,21 +458,6 @@ class Nodes:
             if not follows:
                 return False
         return True
-
-    @property
-    def set_points(self) -> Sequence[tuple[Drive, str, float]]:
-        """Each drive in the order of its RPDO, with the name of its set point and the factor into motor units."""
-        return self._set_points
-
-    @property
-    def boundary_names(self) -> Sequence[str]:
-        """Signal names of the twin's boundary inputs, in the order of its RPDOs."""
-        return self._boundary_names
-
-    @property
-    def answers(self) -> Mapping[int, Tpdo]:
-        """The TPDOs that answer SYNC."""
-        return self._tpdos
 
     def begin_fast_path(self) -> None:
         """Prepare cycles with answers to SYNC only: clear messages and ages."""
@@ -508,7 +487,7 @@ class Nodes:
     def end_fast_path(self, cycles: int) -> None:
         """Update the drives' feedback from `measured` after `cycles` fast-path cycles."""
         measured = self.measured.of_drives.reshape(-1, OF_DRIVE).tolist()
-        for drive, of_drive in zip(self._drives, measured, strict=True):
+        for drive, of_drive in zip(self.drives, measured, strict=True):
             shown = drive.feedback
             shown.position_rad, shown.velocity_rad_s, shown.torque_Nm, statusword = of_drive
             shown.statusword = int(statusword)
@@ -548,18 +527,18 @@ class Nodes:
         if name is not None and not self._inbox.add(node_id, name, content):
             self.malformed += 1
 
-    def fill(self, sample: CycleSample) -> None:
-        """Put the measurements of this cycle into a sample; SI, positions and velocities in the machine's unit."""
-        self.measured.fill(sample)
-
     # -- effects in the simulated hardware ---------------------------------------------------------------
 
-    def hardware_effect(self, path: str) -> float:
-        """A parameter of an effect in the simulated hardware, read by SDO. Raises UnusableValueError."""
+    def owns(self, path: str) -> bool:
+        """True if a quantity is a parameter of an effect in the simulated hardware, which these nodes have."""
+        return path.startswith("hardware.")
+
+    def value(self, path: str) -> float:
+        """Present value of one as the drive has it, read by SDO. Raises UnusableValueError."""
         return float(self._sdo().sdo_read(*effect_place(self.config, path)))
 
-    def set_hardware_effect(self, path: str, value: float) -> None:
-        """Change a parameter of an effect in the simulated hardware, by SDO. Raises UnusableValueError."""
+    def set(self, path: str, value: float) -> None:
+        """Write another value by SDO. Raises UnusableValueError."""
         node_id, index, sub = effect_place(self.config, path)
         self._sdo().sdo_write(node_id, index, value, sub)
 

@@ -13,7 +13,6 @@ from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.can.wire import frame_bits
@@ -258,8 +257,8 @@ class SyncCycle:
 
     def expect(self, pdos: Sequence[ExpectedPdo]) -> None:
         """Set the TPDOs that are waited for from the next cycle on."""
-        self._due_always = {pdo.cob_id: pdo for pdo in pdos if pdo.every == 1}
-        self._due_at_times = [pdo for pdo in pdos if pdo.every != 1]
+        self.due_always = {pdo.cob_id: pdo for pdo in pdos if pdo.every == 1}
+        self.due_at_times = [pdo for pdo in pdos if pdo.every != 1]  #: TPDOs due with every n-th SYNC only
         self._size = {pdo.cob_id: pdo.size for pdo in pdos if pdo.size is not None}
         self._out_of_phase: dict[int, int] = {}  # PDOs whose phase is in doubt: the cycle in which one came between
         self._missed_in_row.clear()
@@ -349,16 +348,6 @@ class SyncCycle:
         """Start of the next SYNC in ns, on the time base of the trace."""
         return self._epoch_ns + self.timing.cycles * self._cycle_ns
 
-    @property
-    def lost_frames(self) -> int | None:
-        """Frames the bench's own connection has lost because it was not read in time; None: not known there."""
-        return self._link.dropped
-
-    @property
-    def controller(self) -> ControllerState:
-        """State of the bench's own CAN controller."""
-        return self._link.controller
-
     # -- cycles run by the fast path (`hilbench.in_process_cycle`) ----------------------------------------------------
 
     @property
@@ -375,16 +364,6 @@ class SyncCycle:
     def came_between(self, frames: Sequence[Frame]) -> None:
         """Take frames that the fast path has received before SYNC."""
         self._came_between += frames
-
-    @property
-    def due_always(self) -> Mapping[int, ExpectedPdo]:
-        """TPDOs due with each SYNC, by COB-ID; another object after `expect`."""
-        return self._due_always
-
-    @property
-    def due_at_times(self) -> Sequence[ExpectedPdo]:
-        """TPDOs due with every n-th SYNC only."""
-        return self._due_at_times
 
     @property
     def heartbeat(self) -> tuple[Frame, int]:
@@ -413,8 +392,8 @@ class SyncCycle:
 
     def _due(self) -> dict[int, ExpectedPdo]:
         cycle, silent = self.timing.cycles + self.elapsed_cycles, self.silent
-        due = self._due_always.copy()
-        for pdo in self._due_at_times:
+        due = self.due_always.copy()
+        for pdo in self.due_at_times:
             if (cycle - pdo.since) % pdo.every == 0 and pdo.cob_id not in self._out_of_phase:
                 due[pdo.cob_id] = pdo
         return {cob_id: pdo for cob_id, pdo in due.items() if pdo.sender not in silent} if silent else due
@@ -443,7 +422,7 @@ class SyncCycle:
                     continue
                 if can_id == EMERGENCY_STOP_COB_ID:
                     due.clear()  # the nodes leave OPERATIONAL: no answers will come
-                elif self._due_at_times:
+                elif self.due_at_times:
                     self._look_at_phase(can_id)
             if batch:
                 self._account_received(batch, last=not due)
@@ -466,13 +445,13 @@ class SyncCycle:
         """Check the phase of a PDO of every n-th SYNC. One in between: its sender has received a SYNC twice or missed
         one, or it is foreign. It is not waited for until one comes when due, or n SYNCs after the one in between."""
         cycle, doubt = self.timing.cycles + self.elapsed_cycles, self._out_of_phase
-        for at, pdo in enumerate(self._due_at_times):
+        for at, pdo in enumerate(self.due_at_times):
             if pdo.cob_id != cob_id:
                 continue
             if (cycle - pdo.since) % pdo.every == 0:
                 doubt.pop(cob_id, None)
             elif doubt.get(cob_id) == cycle - pdo.every:
-                self._due_at_times[at] = replace(pdo, since=cycle - pdo.every)
+                self.due_at_times[at] = replace(pdo, since=cycle - pdo.every)
                 del doubt[cob_id]
             else:
                 doubt[cob_id] = cycle

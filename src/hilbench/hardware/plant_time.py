@@ -46,12 +46,8 @@ class BySync:
 
     def __init__(self, cycle_s: float, sample_s: float) -> None:
         self._cycle = round(cycle_s / sample_s)
-        self._sample_s = sample_s
+        self.sample_s = sample_s
         self._left_s = 0.0
-
-    @property
-    def sample_s(self) -> float:
-        return self._sample_s
 
     def before_sync(self, behind: int) -> int:
         return 0
@@ -61,8 +57,8 @@ class BySync:
 
     def without_sync(self, duration_s: float) -> int:
         self._left_s += duration_s
-        samples = int(self._left_s / self._sample_s + 1e-6)
-        self._left_s -= samples * self._sample_s
+        samples = int(self._left_s / self.sample_s + 1e-6)
+        self._left_s -= samples * self.sample_s
         return samples
 
 

@@ -52,28 +52,13 @@ class RigApplication:
         cycle_s: float,
         lock: Callable[[float], None] | None = None,
     ) -> None:
-        self._drives = drives
-        self._ports = ports
+        self.drives = drives  #: the simulated ones
+        self.ports = ports  #: ports of all motors, simulated drive or not
         self._in_use = False
-        self._rig = rig
+        self.rig = rig  #: mechanics that the motors turn
         self._time = time
         self._lock, self._sample_s = lock, time.sample_s
         self._longest_step = round(cycle_s / time.sample_s)
-
-    @property
-    def drives(self) -> Sequence[SimulatedDrive]:
-        """The simulated ones."""
-        return self._drives
-
-    @property
-    def ports(self) -> Sequence[MotorPort]:
-        """Ports of all motors, simulated drive or not."""
-        return self._ports
-
-    @property
-    def rig(self) -> Steps:
-        """Mechanics that the motors turn."""
-        return self._rig
 
     @property
     def fits_fast_path(self) -> bool:
@@ -114,16 +99,16 @@ class RigApplication:
 
     def _step(self, samples: int) -> None:
         duration_s = samples * self._time.sample_s
-        for drive in self._drives:
+        for drive in self.drives:
             drive.sync(duration_s)
         # At rest with all power stages off nothing moves; the noise must not depend on how long that lasted.
-        if samples and (self._in_use or any(port.mode is not MotorMode.OFF for port in self._ports)):
+        if samples and (self._in_use or any(port.mode is not MotorMode.OFF for port in self.ports)):
             self._in_use = True
             if self._lock is not None and self._time.sample_s != self._sample_s:
                 self._sample_s = self._time.sample_s
                 self._lock(self._sample_s)
-            self._rig.step(duration_s)
-        for drive in self._drives:
+            self.rig.step(duration_s)
+        for drive in self.drives:
             drive.publish()
 
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
-from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
+from hilbench.prediction.outlook import Outlook, WatchedQuantity
 from hilbench.prediction.tally import Offsets
 
 Present = TypeVar("Present")
@@ -19,7 +19,7 @@ class Futures(ABC, Generic[Present, Courses]):
     `Present`: its present estimate; `Courses`: its future set points.
     """
 
-    def __init__(self, watched: Sequence[DiagnosisAnswer]) -> None:
+    def __init__(self, watched: Sequence[WatchedQuantity]) -> None:
         self.watched = tuple(watched)
 
     @property

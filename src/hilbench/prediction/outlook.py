@@ -16,7 +16,7 @@ LEVELS: Final[tuple[Level, Level]] = ("warning", "trip")
 
 
 @dataclass(frozen=True, slots=True)
-class DiagnosisAnswer:
+class WatchedQuantity:
     """Quantity with limits: its name in messages, its signal, its unit, and levels of its size."""
 
     name: str
@@ -35,7 +35,7 @@ class Crossing:
     """Predicted crossing of a level by a quantity's size: its probability, and its time if it occurs (experiment time,
     s: median, and the times before and after which one future in ten crosses it)."""
 
-    watched: DiagnosisAnswer
+    watched: WatchedQuantity
     level: Level
     limit: float
     probability: float
@@ -58,7 +58,7 @@ class Outlook:
     """
 
     now_s: float
-    watched: Sequence[DiagnosisAnswer]
+    watched: Sequence[WatchedQuantity]
     times_s: Array
     rows: Array
     largest: Array

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.prediction.judging import FARTHEST, NEVER, TallyVectors
-from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
+from hilbench.prediction.outlook import Outlook, WatchedQuantity
 
 Array = NDArray[np.float64]
 
@@ -41,13 +41,13 @@ class Tally:
     """Tally of B futures and Q quantities, filled by the machines' kernels in T steps of `step_s`; a row of the courses
     is recorded every `every` steps."""
 
-    watched: tuple[DiagnosisAnswer, ...]
+    watched: tuple[WatchedQuantity, ...]
     step_s: float
     every: int
     vectors: TallyVectors
 
     @classmethod
-    def of(cls, watched: tuple[DiagnosisAnswer, ...], offsets: Offsets, z: Array, step_s: float, steps: int) -> Self:
+    def of(cls, watched: tuple[WatchedQuantity, ...], offsets: Offsets, z: Array, step_s: float, steps: int) -> Self:
         """Tally before the first step; z (B, Q): draws of the lasting offsets."""
         (b, q), every = z.shape, max(1, round(_ROW_S / step_s))
         levels = _levels_of(watched)
@@ -79,6 +79,6 @@ def whole_step_s(fastest_per_s: float, horizon_s: float, most_s: float) -> float
     return horizon_s / ceil(horizon_s / longest_s)
 
 
-def _levels_of(watched: Sequence[DiagnosisAnswer]) -> Array:
+def _levels_of(watched: Sequence[WatchedQuantity]) -> Array:
     """Warning and trip level of each (Q, 2); infinite where there is none."""
     return np.array([(each.warning or np.inf, each.trip or np.inf) for each in watched], float).reshape(-1, 2)

@@ -337,7 +337,6 @@ class Decoder:
         self._keep = keep
         self.fault = ""  #: what a watch of the machine found
         self._row = attrgetter(*names)
-        self._cycle_s = config.cycle_time_s
         self._nodes = nodes
         self._changes = changes
         self._next_change = 0

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from hilbench.bench.prediction.announcements import Announcement
-from hilbench.bench.reports.diagnosis_updates import FoundEffect, GapRow, ModelChange, part_words
+from hilbench.bench.reports.diagnosis_updates import GapRow, ModelChange, part_words
 from hilbench.block import Strict
 from hilbench.json_file import JsonFile
 from hilbench.plant.effects import find_effect
@@ -382,15 +382,20 @@ class FoundRecord(Strict):
         both = [*((effect, False) for effect in change.effects), *((effect, True) for effect in change.gone)]
         gap = None if change.gap is None else GapRecord(**asdict(change.gap))
         return [
-            cls(**_shared(cls, effect, change) | {"t_s": change.begun_s, "gap": gap, "gone": gone} | _found_in(effect))
+            cls(
+                **_shared(cls, effect, change)
+                | {
+                    "t_s": change.begun_s,
+                    "gap": gap,
+                    "gone": gone,
+                    "parameters": {
+                        name: FoundParameter(value=each.value, ci95=(each.low, each.high), unit=each.unit)
+                        for name, each in effect.parameters.items()
+                    },
+                }
+            )
             for effect, gone in both
         ]
-
-
-def _found_in(effect: FoundEffect) -> dict[str, dict[str, FoundParameter]]:
-    values = effect.parameters.items()
-    found = {n: FoundParameter(value=one.value, ci95=(one.low, one.high), unit=one.unit) for n, one in values}
-    return {"parameters": found}
 
 
 class StreamRecord(Strict):

@@ -287,7 +287,10 @@ class TraceReader:
             while line := self._next(file):
                 number += 1
                 if not line.endswith(b"\n"):
-                    self.torn = self._is_end(file.read(1), number)
+                    self.torn = True
+                    if file.read(1):
+                        text = "a line without end, expected a trace in candump format"
+                        raise UnusableInputError(f"{self._part}:{number}", text)
                     if not (self._torn_too and _LINE.fullmatch(line)):
                         return
                 if line.strip():
@@ -298,11 +301,6 @@ class TraceReader:
             return file.readline(_LONGEST_LINE)
         except (OSError, EOFError, zlib.error) as error:
             raise UnusableInputError(self._part, f"cannot be read ({error}), expected a trace") from error
-
-    def _is_end(self, following: bytes, number: int) -> bool:
-        if following:
-            raise UnusableInputError(f"{self._part}:{number}", "a line without end, expected a trace in candump format")
-        return True
 
     def _match(self, line: bytes, number: int) -> re.Match[bytes]:
         match = _LINE.fullmatch(line.rstrip())

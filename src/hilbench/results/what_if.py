@@ -13,7 +13,7 @@ import numpy as np
 
 from hilbench.bench.prediction.create import foreseeable, look_of
 from hilbench.bench.prediction.hindsight import Hindsight
-from hilbench.bench.prediction.task import LimitReading
+from hilbench.bench.prediction.task import Look
 from hilbench.bench.prediction.window import CYCLES, Window
 from hilbench.errors import UnusableInputError
 from hilbench.prediction.config import PredictionConfig
@@ -125,7 +125,7 @@ def _sample(recording: Recording, row: int) -> CycleSample:
 _MOST_BACK: Final = 30_000
 
 
-def _row(look: LimitReading, recording: Recording, at_s: float | None, place: str) -> int:
+def _row(look: Look, recording: Recording, at_s: float | None, place: str) -> int:
     """The cycle to look ahead from: the one at a time, or the last one possible."""
     time_s = recording.time_s
     if at_s is not None and not time_s[0] <= at_s <= time_s[-1]:

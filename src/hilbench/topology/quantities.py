@@ -211,11 +211,6 @@ def all_paths() -> Iterator[str]:
                 yield from (at + parameter.name for parameter in effect.parameters)
 
 
-def is_of_load(path: str) -> bool:
-    """True if a quantity belongs to the emulated mechanics."""
-    return path.startswith("load.")
-
-
 def settable_path(text: str) -> str:
     """The path itself when it names a quantity that can be set; ValueError otherwise."""
     if not is_simple_path(text):

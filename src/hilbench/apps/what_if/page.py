@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hilbench.apps.report.chart import BLUE, VERMILLION, Band, Chart, Curve
 from hilbench.apps.report.page import quantity, write_page
 from hilbench.apps.report.plots import Picture, drawn
-from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
+from hilbench.prediction.outlook import Outlook, WatchedQuantity
 from hilbench.results.what_if import Answer
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ _LEVEL: Final = "┄"
 #: A course that moves less than this share of its size, or this much, is drawn as flat.
 _FLAT_SHARE: Final = 0.02
 _FLAT: Final = 1e-3
-Summary = tuple[DiagnosisAnswer, list[float], list[float], float]
+Summary = tuple[WatchedQuantity, list[float], list[float], float]
 
 
 def text_chart(
@@ -82,7 +82,7 @@ def rows_of(outlook: Outlook) -> list[Summary]:
     return found
 
 
-def levels_of(watched: DiagnosisAnswer) -> list[float]:
+def levels_of(watched: WatchedQuantity) -> list[float]:
     """Its limits."""
     return [level for level in (watched.warning, watched.trip) if level is not None]
 

@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,7 +40,6 @@ from hilbench.forked_workers import ForkedWorker, Preparation, forked_workers
 from hilbench.processes import ChildProcess
 from hilbench.real_time import comes_first, kept_ready
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.parts import Part
 from hilbench.topology.resolved import remember, write_resolved
 from hilbench.twin.machines.kinds import warm_up
 
@@ -145,7 +145,8 @@ def bring_up(
             brought = {} if participants is Participants.PRESENT else config.simulated_drives
             stand_data(config, found, master.written, started=brought).write(folder / FILE)
             master.nmt(NmtCommand.START)
-            _wait_until_started(config, master)
+            for part in config.parts:  # once it answers all frames sent before have come, and its clock waits for SYNC
+                master.read(part.node.node_id, 0x1000)
             if participants is Participants.PRESENT:
                 check_that_they_wait(config, master)
             master.receive_only_answers()
@@ -269,25 +270,17 @@ def _processes_beside(config: BenchConfig, participants: Participants) -> dict[s
     beside: dict[str, Preparation] = {}
     if participants is Participants.STARTED:
         if config.simulated_drives:
-            beside[_HARDWARE] = partial(_load_hardware, config)
-        beside[TWIN] = partial(_load_twin, config)
+            beside[_HARDWARE] = partial(_load, "hilbench.hardware.simulation", config)
+        beside[TWIN] = partial(_load, "hilbench.twin.run", config)
     if participants is not Participants.IN_PROCESS and config.master.heartbeat_ms:
         beside[_SUPERVISOR] = lambda: None
     return beside
 
 
-def _load_hardware(config: BenchConfig) -> None:
-    from hilbench.hardware.simulation import load  # the bench itself need not load it
-
+def _load(module: str, config: BenchConfig) -> None:
+    """Load what a process runs, which the bench itself need not."""
     remember(config)
-    load(config)
-
-
-def _load_twin(config: BenchConfig) -> None:
-    from hilbench.twin.run import load
-
-    remember(config)
-    load(config)
+    import_module(module).load(config)
 
 
 def start_children(
@@ -330,7 +323,7 @@ def _configure(
     """Configure each node once it has booted: drives first, while the twin loads; returns their objects before it."""
     # From its reset on the state of a node that is there already is known.
     present = participants is Participants.PRESENT
-    there = {part.node.node_id for part in config.parts if present or not _is_started(part)}
+    there = {part.node.node_id for part in config.parts if present or not (part.is_simulated or part.is_virtual)}
     for node_id in sorted(there):
         master.nmt(NmtCommand.RESET_NODE, node_id)
     if there:
@@ -367,21 +360,6 @@ def _beside_each_other(most: int, participants: Participants) -> Iterator[ForEac
         return
     with ThreadPoolExecutor(most, "configuration") as threads:
         yield threads.map
-
-
-def _is_started(part: Part) -> bool:
-    """True if a bench starts it: simulated or virtual."""
-    return part.is_simulated or part.is_virtual
-
-
-def _wait_until_started(config: BenchConfig, master: Master) -> None:
-    """Wait until each node has taken the start command, and all frames sent before have come: its clock then is
-    stopped until SYNC, and none of them becomes part of the first cycle.
-
-    One that does not answer is found out by the cycles.
-    """
-    for part in config.parts:
-        master.read(part.node.node_id, 0x1000)
 
 
 @contextmanager

@@ -12,8 +12,8 @@ from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
-from hilbench.bench.tasks.shaft_limits import ShaftLimitWatch
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
+from hilbench.bench.tasks.shaft_limits import limit_watch
+from hilbench.bench.tasks.task import MANY, CompiledStages, StagedTask
 from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.fmu.follower import FmuFollower
@@ -66,7 +66,7 @@ def tasks_with(config: BenchConfig, state: BenchState, load: LoadTask) -> Machin
         quantities=(speed, load),
         control=(SpeedTask(drive, speed), load),
         watches=(
-            QuietWatch("limits", ShaftLimitWatch(config, motor), state.reports),
+            QuietWatch("limits", limit_watch(config, motor), state.reports),
             QuietWatch("saturation", SaturationWatch(config), state.reports),
         ),
         twin_age_limit_cycles=_TWIN_AGE_LIMIT_CYCLES,
@@ -74,22 +74,16 @@ def tasks_with(config: BenchConfig, state: BenchState, load: LoadTask) -> Machin
     )
 
 
-class SpeedTask(CyclicTask):
+class SpeedTask(StagedTask):
     """The axis follows its reference."""
 
     def __init__(self, drive: str, speed: Reference) -> None:
-        self._drive = drive
-        self._piece = PerSample(lambda sample: speed.shown_in(sample, _COMMAND))
+        self._drive, self._speed = drive, speed
         speed.warm_up_shown()
 
-    def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Velocity of the axis, rad/s at the motor."""
-        self._piece(sample)()
-        outputs[self._drive] = getattr(sample, _COMMAND)
-
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Compiled stage that makes the speed command."""
-        return CompiledStages(before=[self._piece(sample)], shown={self._drive: _COMMAND})
+    def stages(self, sample: CycleSample) -> CompiledStages:
+        """Compiled stage that makes the speed command, rad/s at the motor."""
+        return CompiledStages(before=[self._speed.shown_in(sample, _COMMAND)], shown={self._drive: _COMMAND})
 
 
 class ShaftLoadTask(LoadTask):

@@ -20,7 +20,7 @@ from hilbench.bench.tasks.emulated_web import emulated_web, web_load_model
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, StagedTask
 from hilbench.bench.tasks.tension_cycle import SPEEDS
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_probing import Probing
@@ -307,7 +307,7 @@ class BoundaryTask(CyclicTask):
         self.before(sample, outputs)
 
 
-class _AxisWithoutLoop(CyclicTask):
+class _AxisWithoutLoop(StagedTask):
     """Axis whose velocity one compiled stage makes, from other axes and the standstill excitation."""
 
     def __init__(self, drive: str, axis: int, function: Function) -> None:
@@ -317,16 +317,11 @@ class _AxisWithoutLoop(CyclicTask):
         self.speeds = np.zeros(1, SPEEDS)
         self._excitations = np.array([(0.0, np.nan)], web_axis_cycle.EXCITATION)
         self._excitation = self._excitations[0]
-        self._piece = PerSample(self._on)
         load(function)
 
     @abstractmethod
     def _arrays(self, values: Vector) -> tuple[Any, ...]:
         """What `function` works on with the `reals` of a sample."""
-
-    def _on(self, sample: CycleSample) -> CompiledStage:
-        arrays = self._arrays(sample.reals)
-        return CompiledStage(self._function, type(sample).place(self._command), arrays, fallback=never)
 
     @property
     def pull_m_s(self) -> float:
@@ -337,14 +332,11 @@ class _AxisWithoutLoop(CyclicTask):
     def pull_m_s(self, value: float) -> None:
         self._excitation["pull_m_s"] = value
 
-    def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Velocity of the axis, m/s at the web."""
-        self._piece(sample)()
-        outputs[self._drive] = getattr(sample, self._command)
-
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Compiled stage that makes the velocity command."""
-        return CompiledStages(before=[self._piece(sample)], shown={self._drive: self._command})
+    def stages(self, sample: CycleSample) -> CompiledStages:
+        """Compiled stage that makes the velocity command, m/s at the web."""
+        place, arrays = type(sample).place(self._command), self._arrays(sample.reals)
+        command = CompiledStage(self._function, place, arrays, fallback=never)
+        return CompiledStages(before=[command], shown={self._drive: self._command})
 
 
 class LeadingAxis(_AxisWithoutLoop):

@@ -109,7 +109,7 @@ class Operator(CyclicTask):
     def _follow_compiled(self, path: str, values: NDArray[np.float64], cycles: Cycles) -> int:
         """`follow` in compiled cycles. Returns how many values were consumed; 0 if the next cycle needs Python."""
         reference, before = self._reference, self._reference.present
-        if not (reference.owns(path) and reference.is_free):
+        if not (reference.owns(path) and reference.goal is None and reference.ceiling is None):
             return 0
         first, count = self._state.running().timing.cycles, reference.load_trajectory(values)
         try:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from hilbench.prediction.outlook import LEVELS, Crossing, DiagnosisAnswer, Level
+from hilbench.prediction.outlook import LEVELS, Crossing, Level, WatchedQuantity
 
 #: An announcement is over when its probability has fallen below this share of that from which it is made.
 _RELEASE: Final = 0.5
@@ -30,14 +30,14 @@ class Unannounced:
     """A crossing without an announcement."""
 
     t_s: float
-    watched: DiagnosisAnswer
+    watched: WatchedQuantity
     level: Level
 
 
 class Announcements:
     """Announcements and missed crossings of one run."""
 
-    def __init__(self, watched: Sequence[DiagnosisAnswer], above: float) -> None:
+    def __init__(self, watched: Sequence[WatchedQuantity], above: float) -> None:
         self.made: list[Announcement] = []
         self.missed: list[Unannounced] = []
         self._above = above

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from hilbench.bench.prediction.task import LimitReading, Prediction
+from hilbench.bench.prediction.task import Look, Prediction
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
 from hilbench.machine_kinds import has, machine_part
@@ -32,9 +32,9 @@ def prediction_task(
     )
 
 
-def look_of(config: BenchConfig, prediction: PredictionConfig) -> LimitReading:
+def look_of(config: BenchConfig, prediction: PredictionConfig) -> Look:
     """Prediction model of a config's machine, which must be `foreseeable`."""
-    look: LimitReading = machine_part(config.machine.kind, "prediction").look(config, prediction)
+    look: Look = machine_part(config.machine.kind, "prediction").look(config, prediction)
     return look
 
 

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.bench.prediction.hindsight import Hindsight
+from hilbench.bench.prediction.task import Look
 from hilbench.bench.prediction.window import Reading, Window
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.shaft_limits import limited
 from hilbench.prediction.config import PredictionConfig
-from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
-from hilbench.prediction.plan import Asked, Move
+from hilbench.prediction.outlook import Outlook
+from hilbench.prediction.plan import Asked
 from hilbench.prediction.servo_axis.futures import ShaftCourses, ShaftFutures, ShaftPresent
 from hilbench.prediction.tally import Offsets
 from hilbench.topology.config import BenchConfig
@@ -37,20 +38,17 @@ _FOUND = (
 FORESEEN = {SPEED: _COMMAND, SHAFT_INERTIA: "J_true_kg_m2", SHAFT_COULOMB_FRICTION: "coulomb_true_Nm"}
 
 
-class ShaftLook:
+class ShaftLook(Look):
     """Looks ahead from the samples of one run."""
 
+    futures: ShaftFutures
     unready = "the twin is not synchronized"
 
     def __init__(self, config: BenchConfig, prediction: PredictionConfig) -> None:
         (motor,) = config.load_motors
-        self.watched = tuple(
-            DiagnosisAnswer(each.name, each.signal, each.unit, each.limit.warning, each.limit.trip)
-            for each in limited(config.safety.limits, motor)
-        )
+        super().__init__(limited(config.safety.limits, motor))
         self._quantities = tuple(each.signal for each in self.watched)
         self.signals = (*self._quantities, "x1_rad", _COMMAND, *_FOUND)
-        self._compared = np.array([k for k, each in enumerate(self.watched) if each.unit == "N·m"])
         self._believed = 0.0, 0.0  # inertia and its deviation
         self._found = _FoundInertia()
         drives = config.servo_axis.drives
@@ -64,32 +62,22 @@ class ShaftLook:
             futures=prediction.futures,
         )
 
-    def warm_up(self) -> None:
-        """Compile, or load, what a look runs."""
-        self.futures.warm_up()
-
     def ready(self, sample: CycleSample) -> bool:
         """True if the present state is known: the twin is synchronized."""
         return is_synchronized(sample) and sample.J_sim_kg_m2 > 0.0
-
-    def moves_of(self, move: Move) -> tuple[Move, ...]:
-        """Moves of single quantities that a move consists of: itself."""
-        return (move,)
 
     def prepare(
         self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
         """Prepare `ShaftFutures` from the last samples and the planned moves."""
         reading = window.read()
-        measured = np.zeros(len(self.watched))
-        measured[self._compared] = reading.fitted(*(self._quantities[k] for k in self._compared))
         present = self._present(now_s, reading, window.fit_noise)
         if abs(present.inertia_kg_m2 - self._believed[0]) > _ANOTHER * self._believed[1]:
             # Predictions with an inertia that has proved wrong have no lasting residual.
             hindsight.clear()
             self._believed = present.inertia_kg_m2, present.inertia_sd_kg_m2
         to_find = self._found.share_to_find(present.inertia_kg_m2, asked.present.get(SHAFT_INERTIA))
-        hindsight.compare(now_s, measured, self._compared)
+        hindsight.compare(now_s, self._measured(reading), self._compared)
         offsets = Offsets(hindsight.lasting.copy(), hindsight.deviation, reading.noise(*self._quantities))
         asked_now = float(reading.last(_COMMAND)[0])
         return self.futures.prepare(present, partial(_courses, asked_now, to_find, present, asked), offsets, *key)

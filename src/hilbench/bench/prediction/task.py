@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from operator import attrgetter
-from typing import Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.bench.prediction.announcements import Announcement, Announcements
 from hilbench.bench.prediction.hindsight import Hindsight
-from hilbench.bench.prediction.window import Window
+from hilbench.bench.prediction.window import Reading, Window
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.limits import Limited
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Inputs
 from hilbench.prediction.config import PredictionConfig
-from hilbench.prediction.outlook import Crossing, DiagnosisAnswer, Outlook
+from hilbench.prediction.futures import Futures
+from hilbench.prediction.outlook import Crossing, Outlook, WatchedQuantity
 from hilbench.prediction.plan import Asked, Move
 from hilbench.real_time import leave_the_cycle
 from hilbench.topology.sample import CycleSample
@@ -37,22 +41,39 @@ class PredictedLimitError(BenchFaultError):
     """A quantity is going to go beyond its trip level."""
 
 
-class LimitReading(Protocol):
-    """Prediction of a kind of machine."""
+class Look(ABC):
+    """Prediction of a kind of machine from the samples of one run; `watched`: what is `limited`."""
 
-    watched: tuple[DiagnosisAnswer, ...]
     signals: tuple[str, ...]  #: needed for a look
     unready: str  #: message where the present state is not known
+    futures: Futures[Any, Any]
+
+    def __init__(self, limited: Sequence[Limited]) -> None:
+        self.watched = tuple(
+            WatchedQuantity(each.name, each.signal, each.unit, each.limit.warning, each.limit.trip) for each in limited
+        )
+        #: Those that are measured without the model, and so are compared with what was predicted.
+        self._compared = np.array([k for k, each in enumerate(self.watched) if each.unit == "N·m"])
 
     def warm_up(self) -> None:
         """Compile, or load, what a look runs."""
+        self.futures.warm_up()
 
+    @abstractmethod
     def ready(self, sample: CycleSample) -> bool:
         """True if the present state is known well enough."""
 
     def moves_of(self, move: Move) -> tuple[Move, ...]:
         """Moves of single quantities that a move consists of."""
+        return (move,)
 
+    def _measured(self, reading: Reading) -> NDArray[np.float64]:
+        """Present values of what is compared, 0 of the others."""
+        measured = np.zeros(len(self.watched))
+        measured[self._compared] = reading.fitted(*(self.watched[k].signal for k in self._compared))
+        return measured
+
+    @abstractmethod
     def prepare(
         self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
@@ -78,7 +99,7 @@ class Prediction(CyclicTask):
 
     def __init__(
         self,
-        look: LimitReading,
+        look: Look,
         config: PredictionConfig,
         state: BenchState,
         asked: Callable[[], Asked],
@@ -92,6 +113,7 @@ class Prediction(CyclicTask):
         self.outlook: Outlook | None = None  #: the last one
         self.looks = self.left_out = 0
         self._look, self._config, self._state, self._asked = look, config, state, asked
+        self.warm_up = look.warm_up
         self._seed, self._on_predicted_limit = seed, on_predicted_limit
         self._reference, self._slows_down = reference, False
         self._every = max(1, round(config.every_s / state.cycle_s))
@@ -100,10 +122,6 @@ class Prediction(CyclicTask):
         self._pool = None if lockstep else ThreadPoolExecutor(1, "prediction", initializer=leave_the_cycle)
         self._running: tuple[Future[None], Callable[[], Outlook]] | None = None
         self._is_asked = False  # an extra look is under way
-
-    def warm_up(self) -> None:
-        """Compile what a look runs, before one has to wait for it."""
-        self._look.warm_up()
 
     def close(self) -> None:
         """A look that still runs is of no use any more."""

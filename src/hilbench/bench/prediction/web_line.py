@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.bench.prediction.hindsight import Hindsight
+from hilbench.bench.prediction.task import Look
 from hilbench.bench.prediction.window import Reading, Window
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.web_entering_strain import strains_around
@@ -20,7 +21,7 @@ from hilbench.control.web_line.strain_trajectory import strain_trajectory
 from hilbench.control.web_line.swing_damping import SwingDamping, SwingPlant
 from hilbench.control.web_line.tension import tension_controller
 from hilbench.prediction.config import PredictionConfig
-from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
+from hilbench.prediction.outlook import Outlook
 from hilbench.prediction.plan import Asked, Move
 from hilbench.prediction.tally import Offsets
 from hilbench.prediction.web_line.futures import LineControl, LineCourses, LineFutures, LinePresent
@@ -51,19 +52,17 @@ def moves_of(config: BenchConfig, move: Move) -> tuple[Move, ...]:
     return tuple(replace(move, path=modulus_of_span(span)) for span in range(1, config.shape.spans + 1))
 
 
-class LineLook:
+class LineLook(Look):
     """Looks ahead from the samples of one run."""
 
+    futures: LineFutures
     unready = "the twin is not synchronized, or a tension loop is open"
 
     def __init__(self, config: BenchConfig, prediction: PredictionConfig) -> None:
         shape, model = config.shape, config.web_line
+        super().__init__(limited(config.safety.limits, shape))
         self._config = config
         axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
-        self.watched = tuple(
-            DiagnosisAnswer(each.name, each.signal, each.unit, each.limit.warning, each.limit.trip)
-            for each in limited(config.safety.limits, shape)
-        )
         self._speeds = [f"v{k}_m_s" for k in axes]
         self._torques = [f"tau{k}_Nm" for k in axes]
         self._commands = [f"v{k}_cmd_m_s" for k in axes]
@@ -92,7 +91,6 @@ class LineLook:
                 ]
             )
         )
-        self._compared = np.array([k for k, each in enumerate(self.watched) if each.unit == "N·m"])
         self._noisy = np.array([k for k, each in enumerate(self.watched) if each.unit != "N"])
         self.futures = LineFutures(
             model,
@@ -105,17 +103,12 @@ class LineLook:
             futures=prediction.futures,
         )
 
-    def warm_up(self) -> None:
-        """Compile, or load, what a look runs."""
-        self.futures.warm_up()
-
     def ready(self, sample: CycleSample) -> bool:
         """True if the present state is known: the twin is synchronized, and every loop closed on it."""
         closed = self._closed(sample)
         return is_synchronized(sample) and bool(np.all(closed)) and getattr(sample, self._modulus) > 0.0
 
     def moves_of(self, move: Move) -> tuple[Move, ...]:
-        """Moves of single quantities that a move consists of."""
         return moves_of(self._config, move)
 
     def prepare(
@@ -125,9 +118,7 @@ class LineLook:
         reading = window.read()
         present, noise = self._present(now_s, reading, window.fit_noise), np.zeros(len(self.watched))
         noise[self._noisy] = reading.noise(*(self.watched[k].signal for k in self._noisy))
-        measured = np.zeros(len(self.watched))
-        measured[self._compared] = reading.fitted(*(self.watched[k].signal for k in self._compared))
-        hindsight.compare(now_s, measured, self._compared)
+        hindsight.compare(now_s, self._measured(reading), self._compared)
         offsets = Offsets(hindsight.lasting.copy(), hindsight.deviation, noise)
         return self.futures.prepare(present, self._courses(present, asked), offsets, *key)
 

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from hilbench.bench.tasks.limits import BELOW_LIMITS, LIMIT_REACHED, Levels, LimitReading
+from hilbench.bench.tasks.limits import (
+    BELOW_LIMITS,
+    LIMIT_REACHED,
+    Levels,
+    Limited,
+    LimitedValue,
+    LimitMonitor,
+    apart,
+    is_synchronized,
+    lowest_threshold,
+)
 from hilbench.bench.tasks.task import PerSample
 from hilbench.compiled import COUNT, TABLE, Reals, Wholes, Wholes2, arrays_in, entry_point, load, record_type
+from hilbench.cycle_program import CompiledStage, never
+from hilbench.topology.safety import Limit
 from hilbench.topology.sample import CycleSample
 from hilbench.twin.virtual_io import SYNCHRONIZED
 
 #: A cycle, s; the least difference of positions and ratio of estimates that are reported; 1 if there has been a sample
 #: since the drives were enabled; 1 if a warning is on.
 _FIGURES = record_type("cycle_s", "apart", "ratio", "started", "warned")
+_NO_LIMIT = Limit()
 
 
 class _Arrays(NamedTuple):
@@ -61,45 +74,53 @@ def _look(status: int, table: Wholes2) -> int:
     return BELOW_LIMITS if loud == 0 else LIMIT_REACHED
 
 
-class LimitCheck:
-    """Check of the signals `sizes` against `thresholds`; of `estimates` against the model's value of each by `ratio`;
-    of the position differences of the axes with `positions` and `commands` against
-    `least_difference`."""
+class LimitCheck(LimitMonitor):
+    """Check of what is `limited` in the samples of a run; of what is `estimated`, against the model's values by signal
+    (`models`), by `ratio`; of the position differences of a line's axes, by these names, against `difference_m`."""
 
     def __init__(
         self,
-        sizes: Sequence[str],
-        thresholds: Sequence[float],
-        estimates: Sequence[tuple[str, float]],
-        ratio: float,
-        positions: Sequence[str] = (),
-        commands: Sequence[str] = (),
-        least_difference: float = 0.0,
+        limited: Sequence[Limited],
+        estimated: str,
+        models: Mapping[str, float],
+        ratio: Limit,
+        differences: Sequence[str] = (),
+        difference_m: Limit = _NO_LIMIT,
         cycle_s: float = 0.0,
     ) -> None:
-        names = [name for name, _ in estimates]
-        self._signals = sizes, names, positions, commands
-        self._thresholds, self._models = np.array(thresholds), np.array([value for _, value in estimates])
-        self._off = np.zeros(max(len(positions) - 1, 0))
-        self._since_start = np.zeros_like(self._off), np.zeros_like(self._off)
-        self._figures = np.array([(cycle_s, least_difference, ratio, 0.0, 0.0)], _FIGURES)
-        self.of = PerSample(self._on)  #: a sample
+        self._levels = Levels()
+        self._limited, self._estimated, self._models, self._ratio = limited, estimated, models, ratio
+        self._differences, self._difference_m = differences, difference_m
+        axes = range(1, len(differences) + 2) if differences else ()
+        positions, commands = [f"x{axis}_m" for axis in axes], [f"v{axis}_cmd_m_s" for axis in axes]
+        self._signals = [each.signal for each in limited], list(models), positions, commands
+        self._off, self._since_start = np.zeros(len(differences)), np.zeros((2, len(differences)))
+        figures = cycle_s, lowest_threshold(difference_m), lowest_threshold(ratio), 0.0, 0.0
+        self._figures = np.array([figures], _FIGURES)
+        self.look = PerSample(self._on)
         load(_look)
 
-    def _on(self, sample: CycleSample) -> LimitReading:
+    def _on(self, sample: CycleSample) -> CompiledStage:
         sizes, estimates, positions, commands = map(type(sample).places, self._signals)
+        thresholds = np.array([lowest_threshold(each.limit) for each in self._limited])
         arrays = _Arrays(
-            *(sample.reals, sample.wholes, sizes, self._thresholds, estimates, self._models, positions, commands),
-            *(*self._since_start, self._off, self._figures),
+            *(sample.reals, sample.wholes, sizes, thresholds, estimates, np.array([*self._models.values()])),
+            *(positions, commands, *self._since_start, self._off, self._figures),
         )
-        return LimitReading(_look, type(sample).place("twin_status"), arrays)
+        return CompiledStage(_look, type(sample).place("twin_status"), arrays, continues=BELOW_LIMITS, fallback=never)
 
-    @property
-    def apart(self) -> list[float]:
-        """Position error of each axis relative to the one after it, at the last check."""
-        apart: list[float] = self._off.tolist()
-        return apart
+    def found(self, sample: CycleSample) -> list[tuple[str, str]]:
+        """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
+        found = self._levels.check(sample.t_s, self._quantities(sample))
+        self._figures["warned"] = not self._levels.quiet
+        return found
 
-    def warned(self, levels: Levels) -> None:
-        """Set if a warning is on, so that the check reports small values, too."""
-        self._figures["warned"] = not levels.quiet
+    def _quantities(self, sample: CycleSample) -> Iterator[LimitedValue]:
+        for each in self._limited:
+            value = getattr(sample, each.signal)
+            yield each.name, value if each.signed else abs(value), f" {each.unit}", each.limit
+        for name, difference_m in zip(self._differences, self._off.tolist(), strict=True):
+            yield name, difference_m, " m", self._difference_m
+        if is_synchronized(sample):
+            for signal, value in self._models.items():
+                yield self._estimated, apart(getattr(sample, signal), value), "", self._ratio

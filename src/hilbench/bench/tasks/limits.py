@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from math import inf
-from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hilbench.compiled import table_of
-from hilbench.cycle_program import CompiledStage, Function
+from hilbench.bench.tasks.task import PerSample
+from hilbench.cycle_program import CompiledStage
 from hilbench.errors import BenchFaultError
 from hilbench.topology.safety import Limit
 from hilbench.topology.sample import CycleSample
@@ -26,58 +23,37 @@ class LimitTripError(BenchFaultError):
 
 
 #: What is watched in a cycle: its name, its value (a size), its unit with a space before it, and its levels.
-DiagnosisAnswer = tuple[str, float, str, Limit]
+LimitedValue = tuple[str, float, str, Limit]
 
 
 #: What a compiled look at a sample finds.
 BELOW_LIMITS, LIMIT_REACHED = 0, 1
 
 
-@dataclass(frozen=True)
-class LimitReading:
-    """Compiled check of a sample: BELOW_LIMITS if there is nothing to report."""
-
-    function: Function
-    argument: int
-    arrays: Sequence[Any]
-    _table: NDArray[np.int64] = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_table", table_of(self.arrays))
-
-    @property
-    def is_below_limits(self) -> bool:
-        """True if the check finds nothing now."""
-        return self.function(self.argument, self._table) == BELOW_LIMITS
-
-    def stage(self, fallback: Callable[[int], bool]) -> CompiledStage:
-        """Compiled stage of a cycle that makes the check."""
-        return CompiledStage(
-            self.function, self.argument, self.arrays, continues=BELOW_LIMITS, fallback=fallback, table=self._table
-        )
-
-
-class LimitMonitor(Protocol):
+class LimitMonitor(ABC):
     """Checks each sample for events to report."""
 
-    def look(self, sample: CycleSample) -> LimitReading:
-        """Compiled check of this sample, which is mostly the same object."""
+    look: PerSample[CompiledStage]  #: compiled check of a sample: BELOW_LIMITS if there is nothing to report
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """Events of a sample: texts, each after its kind. May raise a fault."""
+        look = self.look(sample)
+        return [] if look.function(look.argument, look.table) == BELOW_LIMITS else self.found(sample)
 
+    @abstractmethod
     def found(self, sample: CycleSample) -> list[tuple[str, str]]:
         """Events of a sample that is known not to be below its limits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limited:
-    """A quantity whose size a signal shows: what messages call it, its unit, and its levels."""
+    """A quantity that a signal shows, or its size, unless `signed`: what messages call it, its unit, and its levels."""
 
     name: str
     signal: str
     unit: str
     limit: Limit
+    signed: bool = False
 
 
 class Levels:
@@ -91,7 +67,7 @@ class Levels:
         """True if no warning is on."""
         return not self._warned
 
-    def check(self, t_s: float, quantities: Iterable[DiagnosisAnswer]) -> list[tuple[str, str]]:
+    def check(self, t_s: float, quantities: Iterable[LimitedValue]) -> list[tuple[str, str]]:
         """The warnings that begin in this cycle, each after its quantity.
 
         Raises LimitTripError; no number counts as beyond the trip level.

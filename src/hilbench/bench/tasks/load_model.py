@@ -96,10 +96,6 @@ class LoadModel:
         self._torques_Nm = self.machine.load_torques_Nm(self._load_axes, speeds, self._motion.ahead_s)
         return self._torques_Nm
 
-    def set_value(self, name: str, value: float) -> None:
-        """Set an input of the machine, from the present state on. Raises ValueError for an unknown one."""
-        self.machine.set_input(name, value)
-
     def follow_in(self, values: Vector, places: Places, *, late: bool) -> HasFollowed | None:
         """Follow in one call on a sample's vector, with its outputs (`hilbench.plant.measured_motion.InStep`). None,
         and nothing done, where this machine can't follow so in its present state."""
@@ -127,11 +123,16 @@ class LoadModel:
         true = self.machine.outputs()
         return [true[name] for name in self._names]
 
+    def set_value(self, name: str, value: float) -> None:
+        """Set an input of the machine, from the present state on. Raises ValueError for an unknown one."""
+        self.machine.set_input(name, value)
+
     def value(self, path: str) -> float:
         """Present value of a quantity of the emulated mechanics. Raises ValueError for an unknown path."""
         if is_simple_path(path):
             return self.machine.parameter(_parameter(path))
-        return self._effect_value(parse_effect_path(path, self._kind))
+        effect = parse_effect_path(path, self._kind)
+        return self._effect_values(effect)[effect.parameter]
 
     def set(self, path: str, value: float) -> None:
         """Give a quantity a value from now on. Raises ValueError for an unknown path or an impossible value."""
@@ -139,9 +140,6 @@ class LoadModel:
             self.machine.set_parameter(_parameter(path), value)
         else:
             self._set_effect_value(parse_effect_path(path, self._kind), value)
-
-    def _effect_value(self, path: EffectPath) -> float:
-        return self._effect_values(path)[path.parameter]
 
     def _effect_values(self, path: EffectPath) -> dict[str, float]:
         """All parameters of an effect; one that was given without a section is in each of them."""

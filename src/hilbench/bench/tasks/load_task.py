@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.bench.tasks.task import CyclicTask, Outputs
-from hilbench.topology.quantities import is_of_load
 from hilbench.topology.sample import CycleSample
 
 
@@ -19,7 +18,7 @@ class LoadTask(CyclicTask):
 
     def owns(self, path: str) -> bool:
         """True if a quantity is one of the emulated mechanics."""
-        return is_of_load(path)
+        return path.startswith("load.")
 
     def value(self, path: str) -> float:
         """Present value of a quantity."""

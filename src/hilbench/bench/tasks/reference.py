@@ -59,8 +59,8 @@ class Reference:
         #: Compiled stage: follow the trajectory.
         self.piece = CompiledStage(_follow, 0, _Course(self.vector, self._course, self._progress), fallback=never)
         self._step = step
-        self._goal: float | None = None
-        self._ceiling: float | None = None
+        self.goal: float | None = None  #: goal that it moves to by itself; None while it stays at its value
+        self.ceiling: float | None = None
         self._held_back = False
 
     @property
@@ -91,24 +91,14 @@ class Reference:
 
     def set(self, path: str, value: float) -> None:
         """Set a value at once, up to the ceiling; a goal under way is dropped."""
-        if self._ceiling is not None:
-            highest = max(self._ceiling, abs(self.present))
+        if self.ceiling is not None:
+            highest = max(self.ceiling, abs(self.present))
             if abs(value) > highest:
                 value, self._held_back = copysign(highest, value), True
-            elif self._held_back and abs(value) <= self._ceiling:
-                self._ceiling = None
+            elif self._held_back and abs(value) <= self.ceiling:
+                self.ceiling = None
         self.present = value
-        self._goal = None
-
-    @property
-    def goal(self) -> float | None:
-        """Goal that it moves to by itself; None while it stays at its value."""
-        return self._goal
-
-    @property
-    def is_free(self) -> bool:
-        """True if it takes set values unchanged: without goal or ceiling."""
-        return self._goal is None and self._ceiling is None
+        self.goal = None
 
     def load_trajectory(self, values: NDArray[np.float64]) -> int:
         """Load values for the next cycles, one per cycle that begins with `piece`; returns how many fit."""
@@ -125,23 +115,17 @@ class Reference:
 
     def move_to(self, goal: float) -> None:
         """Go there by itself, step by step."""
-        self._goal = goal
-
-    @property
-    def ceiling(self) -> float | None:
-        """Largest size that it is held to, whatever is requested; None while it is not, and once less was requested
-        after more."""
-        return self._ceiling
+        self.goal = goal
 
     def hold_below(self, ceiling: float) -> None:
         """Hold its size below `ceiling` from now on; what is above is reduced step by step (`keep_below`)."""
-        self._ceiling, self._held_back = ceiling, False
+        self.ceiling, self._held_back = ceiling, False
 
     def keep_below(self) -> None:
         """Move one step towards the ceiling, where it is beyond."""
-        if self._ceiling is not None and abs(self.present) > self._ceiling:
+        if self.ceiling is not None and abs(self.present) > self.ceiling:
             self._held_back = True
-            self.present = copysign(max(self._ceiling, abs(self.present) - self._step), self.present)
+            self.present = copysign(max(self.ceiling, abs(self.present) - self._step), self.present)
 
     def step_to(self, goal: float) -> tuple[float, bool]:
         """The value one step nearer to a goal, and whether that is the goal."""

@@ -10,10 +10,11 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from hilbench.bench.tasks.limits import BELOW_LIMITS, LIMIT_REACHED, LimitReading, load_motor_labels
+from hilbench.bench.tasks.limits import BELOW_LIMITS, LIMIT_REACHED, LimitMonitor, load_motor_labels
 from hilbench.bench.tasks.task import PerSample
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.compiled import COUNT, TABLE, Reals, Wholes, Wholes2, arrays_in, entry_point, load, record_type, records
+from hilbench.cycle_program import CompiledStage, never
 from hilbench.plant.parameters import per_item
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
@@ -63,7 +64,7 @@ def _look(_: int, table: Wholes2) -> int:
 _LIMITED = int(STATUS_INTERNAL_LIMIT)
 
 
-class SaturationWatch:
+class SaturationWatch(LimitMonitor):
     """Watches the samples of one run."""
 
     def __init__(self, config: BenchConfig) -> None:
@@ -78,23 +79,16 @@ class SaturationWatch:
         self._limited: dict[str, _Limited] = {}
         self._at = PlacesIn([name for _, torque, status in self._signals for name in (torque, status)])
         self._at_limit_Nm = np.array([_AT_LIMIT * self._limits_Nm[drive] for drive, _, _ in self._signals])
-        self._known, self._looks = np.zeros(1, np.int64), PerSample(self._on)
+        self._known, self.look = np.zeros(1, np.int64), PerSample(self._on)
         load(_look)
 
-    def _on(self, sample: CycleSample) -> LimitReading:
+    def _on(self, sample: CycleSample) -> CompiledStage:
         at = self._at.of(sample).view(_DRIVE_AT)
-        return LimitReading(_look, 0, _Arrays(sample.reals, sample.wholes, at, self._at_limit_Nm, self._known))
-
-    def look(self, sample: CycleSample) -> LimitReading:
-        """Compiled check of a sample (`limits.LimitMonitor`)."""
-        return self._looks(sample)
-
-    def update(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """Begin or end of saturation in this cycle, as text for the operator, with the kind of notice."""
-        return [] if self.look(sample).is_below_limits else self.found(sample)
+        arrays = _Arrays(sample.reals, sample.wholes, at, self._at_limit_Nm, self._known)
+        return CompiledStage(_look, 0, arrays, continues=BELOW_LIMITS, fallback=never)
 
     def found(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """Begin or end of saturation in a sample not below its limits (`limits.LimitMonitor`)."""
+        """Begin or end of saturation in this cycle, as text for the operator, with the kind of notice."""
         found = []
         for drive, torque, status in self._signals:
             torque_Nm, statusword = getattr(sample, torque), getattr(sample, status)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property
 from typing import Generic, Literal, Protocol, TypeVar
 
-from hilbench.cycle_program import CompiledStage, python_stage
+from hilbench.cycle_program import CompiledStage
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.sample import CycleSample
 
@@ -18,10 +19,6 @@ Outputs = dict[str, float]
 
 #: More cycles than are ever requested.
 MANY = 1 << 30
-
-
-def _many() -> int:
-    return MANY
 
 
 def _nothing(cycles: int) -> None:
@@ -38,7 +35,7 @@ class CompiledStages:
 
     before: Sequence[CompiledStage] = ()
     after: Sequence[CompiledStage] = ()
-    cycles: Callable[[], int] = _many
+    cycles: Callable[[], int] = lambda: MANY
     went: Callable[[int], None] = _nothing
     shown: Mapping[str, str] = field(default_factory=dict)
 
@@ -83,9 +80,33 @@ class CyclicTask:
         return None
 
 
-def command_stage(task: CyclicTask, sample: CycleSample) -> CompiledStage:
-    """Stage of a `before` that stays in Python, whose outputs the sample holds (`CompiledStages.shown`)."""
-    return python_stage(partial(task.before, sample, Outputs()))
+class StagedTask(CyclicTask):
+    """Task that is made of stages: the interpreter runs the same ones, one by one."""
+
+    @cached_property
+    def _staged(self) -> PerSample[CompiledStages]:
+        return PerSample(self.stages)
+
+    @abstractmethod
+    def stages(self, sample: CycleSample) -> CompiledStages:
+        """Stages on this sample, made once."""
+
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+        """The stages."""
+        return self._staged(sample)
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Run the stages before the exchange; outputs are what the sample shows of them."""
+        staged = self._staged(sample)
+        for stage in staged.before:
+            stage()
+        for output, signal in staged.shown.items():
+            outputs[output] = getattr(sample, signal)
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Run the stages after the exchange."""
+        for stage in self._staged(sample).after:
+            stage()
 
 
 def overrides(task: CyclicTask, moment: Literal["before", "after", "rest"]) -> bool:

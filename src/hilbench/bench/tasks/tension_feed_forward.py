@@ -8,7 +8,7 @@ from typing import Annotated, Any, NamedTuple, Protocol
 import numpy as np
 
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.task import CompiledStages, CyclicTask, Outputs
+from hilbench.bench.tasks.task import CompiledStages, Outputs, StagedTask
 from hilbench.bench.tasks.tension_cycle import LOOP
 from hilbench.compiled import (
     COUNT,
@@ -74,7 +74,7 @@ class Goal(Protocol):
         """LOOP of `tension_cycle` (1,): wanted tension, and E of the web there."""
 
 
-class FeedForwardTask(CyclicTask):
+class FeedForwardTask(StagedTask):
     """Feed-forward plan of a cycle, before any speed command: set-point trajectories, and leads of the rollers.
 
     `loops`: tension loops by the number of the span, also those added later; `rises_s`: rise times of the trajectories
@@ -98,7 +98,6 @@ class FeedForwardTask(CyclicTask):
         self._spans = sorted(rises_s)
         self._at_rest = np.concatenate(rollers_of(model, cycle_s)), trajectories
         self._rollers, self._trajectories = (vector.copy() for vector in self._at_rest)
-        self._piece: CompiledStage | None = None
         load(_plan)
 
     def lead(self, axis: int) -> Vector:
@@ -110,23 +109,12 @@ class FeedForwardTask(CyclicTask):
         found: Vector = self._trajectories[axis - 1]
         return found
 
-    @property
-    def piece(self) -> CompiledStage:
-        """Compiled stage: advance the plan by a cycle."""
-        if self._piece is None:
-            rollers, trajectories = self._rollers.view(ROLLER), self._trajectories.reshape(-1).view(TRAJECTORY)
-            own = _Arrays(rollers, trajectories, self._leads_m_s, self._line_speed.vector, self._own)
-            loops = [_Loop(self._loops[span].loop) for span in self._spans]
-            self._piece = CompiledStage(_plan, 0, (own, *loops), fallback=never)
-        return self._piece
-
-    def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Advance the plan by a cycle."""
-        self.piece()
-
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Compiled stage that makes the plan of a cycle."""
-        return CompiledStages(before=[self.piece])
+    def stages(self, sample: CycleSample) -> CompiledStages:
+        """Compiled stage that advances the plan by a cycle."""
+        rollers, trajectories = self._rollers.view(ROLLER), self._trajectories.reshape(-1).view(TRAJECTORY)
+        own = _Arrays(rollers, trajectories, self._leads_m_s, self._line_speed.vector, self._own)
+        loops = [_Loop(self._loops[span].loop) for span in self._spans]
+        return CompiledStages(before=[CompiledStage(_plan, 0, (own, *loops), fallback=never)])
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """Reset at rest: the web is strained as upstream, and the trajectories begin there."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from hilbench.bench.state import Reports, TwinState
 from hilbench.bench.tasks import tension_cycle as cycle
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
+from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, StagedTask
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_trust import TwinSignals, VirtualSensorSupervision
 from hilbench.bench.tasks.web_entering_strain import EnteringStrain, entering_records
@@ -88,7 +88,7 @@ class LoopNames:
         )
 
 
-class TensionTask(CyclicTask):
+class TensionTask(StagedTask):
     """Velocity of the axis before a span from the simulated tension, with the damping of the swing added.
 
     `set_point_N` can be set during the run; `leader`: the axis after the span; `modulus_Pa`: E until the loop was
@@ -112,7 +112,7 @@ class TensionTask(CyclicTask):
         trajectories: Callable[[CycleSample], tuple[float, float]] | None = None,
     ) -> None:
         self._trajectories = trajectories
-        self._names = names
+        self.names = names  #: names of drive, path and signals
         self._leader = leader
         self._controller, self._damping, self._trust, self._twin = controller, damping, trust, twin
         self._reports = reports
@@ -122,13 +122,12 @@ class TensionTask(CyclicTask):
         loop = of_record(cycle.LOOP, controlled_cycle=cycle.NEVER, closed=cycle.NEVER, **figures)
         self.loop, self.speeds = np.array([loop], cycle.LOOP), np.zeros(1, cycle.SPEEDS)
         self._at, self._speeds = self.loop[0], self.speeds[0]
-        self._piece = PerSample(self._on)
         load(cycle.run)
 
     def _on(self, sample: CycleSample) -> CompiledStage:
         """Make the compiled stage."""
         self._sample = sample
-        names, kind, damping = self._names, type(sample), self._damping
+        names, kind, damping = self.names, type(sample), self._damping
         signals = {
             "closed": names.closed,
             "command": names.command,
@@ -164,7 +163,8 @@ class TensionTask(CyclicTask):
                 entering_at=at,
                 leads_m_s=plan.lead(names.axis),
             )
-        return CompiledStage(cycle.run, cycle.JUDGE, arrays, fallback=self._decide)
+        self._stage = CompiledStage(cycle.run, cycle.JUDGE, arrays, fallback=self._decide)
+        return self._stage
 
     @property
     def speed_m_s(self) -> float:
@@ -177,14 +177,9 @@ class TensionTask(CyclicTask):
         return float(self._speeds["damped"])
 
     @property
-    def names(self) -> LoopNames:
-        """Names of drive, path and signals."""
-        return self._names
-
-    @property
     def span(self) -> int:
         """Number of the span whose tension is kept."""
-        return self._names.span
+        return self.names.span
 
     @property
     def set_point_N(self) -> float:
@@ -236,7 +231,7 @@ class TensionTask(CyclicTask):
 
     def owns(self, path: str) -> bool:
         """True if it is the set-point."""
-        return path == self._names.path
+        return path == self.names.path
 
     def value(self, path: str) -> float:
         """The set-point, N."""
@@ -249,35 +244,33 @@ class TensionTask(CyclicTask):
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis from the last sample."""
         self._at["fresh"] = self._twin.fresh(sample)
-        self._follow_reels(sample)
-        self._piece(sample)()
-        outputs[self._names.drive] = getattr(sample, self._names.command)
+        super().before(sample, outputs)
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Record the set-point."""
-        setattr(sample, self._names.set_point, self.goal_N)
+        setattr(sample, self.names.set_point, self.goal_N)
 
     def _follow_reels(self, sample: CycleSample) -> None:
         """Set the web travel at the ends of a section with a reel of measured radius there."""
         if self._trajectories is not None:
             self._at["before_m"], self._at["behind_m"] = self._trajectories(sample)
 
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+    def stages(self, sample: CycleSample) -> CompiledStages:
         """Compiled stage of the loop, and Python's at a reel of measured radius; the set-point stays as it is."""
 
         def cycles() -> int:
             fresh = self._twin.fresh(sample)
-            shown = getattr(sample, self._names.set_point) == self.goal_N
+            shown = getattr(sample, self.names.set_point) == self.goal_N
             return MANY if fresh == bool(self._at["fresh"]) and shown else 0
 
         at_reels = [] if self._trajectories is None else [python_stage(partial(self._follow_reels, sample))]
-        before, shown = [*at_reels, self._piece(sample)], {self._names.drive: self._names.command}
+        before, shown = [*at_reels, self._on(sample)], {self.names.drive: self.names.command}
         return CompiledStages(before=before, cycles=cycles, shown=shown)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The web is at rest, strained as upstream."""
         self._damping.reset()
-        setattr(sample, self._names.set_point, self.set_point_N)
+        setattr(sample, self.names.set_point, self.set_point_N)
 
     def _decide(self, code: int) -> bool:
         """Handle an event of the compiled cycle, then run its next stage."""
@@ -287,14 +280,13 @@ class TensionTask(CyclicTask):
         elif code < cycle.STALE:
             self._trust.doubts(code, sample)
         self._look_whether_closed()
-        piece = self._piece(sample)
-        piece.function(cycle.CONTROL, piece.table)
+        self._stage.function(cycle.CONTROL, self._stage.table)
         return True
 
     def _look_whether_closed(self) -> None:
         """Open or close the loop by the trust in the twin, and report it."""
         closed, was_closed = self._trust.trusted, self._at["closed"]
-        loop, axis = self._names.of_loop, self._names.axis
+        loop, axis = self.names.of_loop, self.names.axis
         if was_closed == 1.0 and not closed:
             self.opened_s = self._sample.t_s
             self._reports.note("twin", f"{loop} open, axis {axis} follows the ratio of speeds: {self._trust.doubt}")

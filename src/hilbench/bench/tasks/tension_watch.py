@@ -16,7 +16,7 @@ import numpy as np
 
 from hilbench.bench.state import TwinState
 from hilbench.bench.tasks import tension_bounds as bounds
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, PerSample
+from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, StagedTask
 from hilbench.bench.tasks.tension_task import TensionTask
 from hilbench.bench.tasks.tension_trust import VirtualSensorSupervision
 from hilbench.compiled import (
@@ -28,7 +28,6 @@ from hilbench.compiled import (
     arrays_in,
     compiled,
     entry_point,
-    interpreted,
     load,
     of_record,
     record_at,
@@ -238,7 +237,7 @@ class WatchedLoop:
     follows_at_once: bool
 
 
-class TensionWatch(CyclicTask):
+class TensionWatch(StagedTask):
     """Opens tension loops whose twin is physically implausible, until it is plausible again."""
 
     def __init__(
@@ -252,9 +251,6 @@ class TensionWatch(CyclicTask):
         self._loops, self._twin, self._back_cycle = tuple(loops), twin, twin.back_cycle
         axes, errors = model.axis_count, twin_config.model_errors
         sections = section_model(model)
-        self._parameters = lay.pack(
-            sections.model_copy(update={"effects": tuple(e for e in sections.effects if e.effect not in _TURNING)})
-        )
         usual_N = max(loop.task.set_point_N for loop in loops)
         limits_Nm = [
             per_item(sections.drives.torque_limit_Nm, k + 1) if sections.drives else np.inf for k in range(axes)
@@ -282,7 +278,6 @@ class TensionWatch(CyclicTask):
         }
         self._reported = [bounds.NOTHING] * len(loops)
         twin.refusals = 0
-        self._piece = PerSample(self._on)
         load(_run)
 
     def _on(self, sample: CycleSample) -> CompiledStage:
@@ -318,18 +313,18 @@ class TensionWatch(CyclicTask):
         """Take a cycle."""
         self._look_for_a_new_twin()
         if any(emergency.code in (TORQUE_SHIFT, UNDECIDED) for emergency in inputs.emergencies):
-            for state in self._states.view(np.recarray):
-                _change_conditions(state)
-        self._piece(sample)()
+            self._states["constant_s"] = 0.0  # a difference is to be learned anew
+            self._states["known"][self._states["reported"] == bounds.NOTHING] = 0.0
+        super().after(sample, inputs)
 
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+    def stages(self, sample: CycleSample) -> CompiledStages:
         """Compiled stage of the watch; there are no EMCY messages in such cycles."""
 
         def cycles() -> int:
             self._look_for_a_new_twin()
             return MANY
 
-        return CompiledStages(after=[self._piece(sample)], cycles=cycles)
+        return CompiledStages(after=[self._on(sample)], cycles=cycles)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The drives are off: nothing is known of the web or the twin when they are enabled again."""
@@ -376,9 +371,6 @@ def _reason(span: int, state: Any) -> str:
     found_N, low_N, high_N = state[["mean_N", "low_N", "high_N"]].item()
     why = "with any usual errors of the model" if verdict == bounds.TENSION else "by how they have changed since"
     return f"tension{where} by the twin is {found_N:.1f} N, the torques allow {low_N:.1f} to {high_N:.1f} N {why}"
-
-
-_change_conditions = interpreted(bounds.change_conditions)
 
 
 def watched_loops(

@@ -64,18 +64,13 @@ class TwinConnection(CyclicTask):
         self._lost_cycle = self._losses = 0
         self._return: Future[None] | None = None
         self._returned_cycle: int | None = None  # when it was started with SYNCs running, and reports no count
-        self._planned = False
+        self.returning = False  #: true if a reset on purpose is under way
 
     def reset(self) -> None:
         """Begin to reset the twin on purpose; `returning` until it is there again."""
         self._lose("the twin is reset")
-        self._planned, self._losses = True, 0
+        self.returning, self._losses = True, 0
         self._begin_return()
-
-    @property
-    def returning(self) -> bool:
-        """True if a reset on purpose is under way."""
-        return self._planned
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Look after the connection. Raises BenchFaultError when a reset on purpose fails."""
@@ -155,7 +150,7 @@ class TwinConnection(CyclicTask):
         self._exchange.expect_drives()
 
     def _begin_return(self) -> None:
-        answers = self._planned or self._nodes.twin_alive
+        answers = self.returning or self._nodes.twin_alive
         self._nodes.twin_alive = False
         pool = ThreadPoolExecutor(1, thread_name_prefix="twin-return")
         self._return = pool.submit(self._nodes.restart_twin)
@@ -179,8 +174,8 @@ class TwinConnection(CyclicTask):
 
     def _fail(self, error: BenchFaultError) -> None:
         self._returned_cycle = None
-        if self._planned:
-            self._planned = False
+        if self.returning:
+            self.returning = False
             raise error
         self._reports.note("twin", f"the twin did not come back: {error}")
         self._losses += 1
@@ -197,7 +192,7 @@ class TwinConnection(CyclicTask):
     def _take_back(self, started_cycle: int) -> None:
         """`started_cycle`: the SYNC before that which the twin counts as its first."""
         exchange = self._exchange
-        self._returned_cycle, self._planned = None, False
+        self._returned_cycle, self.returning = None, False
         self._twin.away = False
         self._twin.started_cycle, self._twin.back_cycle = started_cycle, exchange.timing.cycles
         exchange.expect_all(started_cycle)

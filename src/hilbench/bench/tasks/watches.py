@@ -49,7 +49,8 @@ class QuietWatch(Watch):
             self._note(self._watching.found(sample))
             return True
 
-        return CompiledStages(after=[look.stage(fallback)])
+        look.fallback = fallback
+        return CompiledStages(after=[look])
 
 
 class SupervisorWatch(CyclicTask):

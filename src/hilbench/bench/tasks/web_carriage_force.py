@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.set_point import OneSetPoint
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, command_stage
+from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, StagedTask
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_roller_motion import RollerMotion
 from hilbench.bench.tasks.web_winding_control import CarriageForce
+from hilbench.cycle_program import python_stage
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import LineCarriage
@@ -18,7 +20,7 @@ from hilbench.topology.web_line_config import CarriageForceConfig
 from hilbench.topology.web_line_positions import FORCE_SET_POINT, position_path
 
 
-class CarriageForceTask(OneSetPoint, CyclicTask):
+class CarriageForceTask(OneSetPoint, StagedTask):
     """Force on a carriage that keeps the tension after it, plus the force that carriage and rollers need as the driven
     rollers around them change their speeds, by the model; a cylinder pushes, and never pulls.
 
@@ -47,7 +49,7 @@ class CarriageForceTask(OneSetPoint, CyclicTask):
         self._starts_m = station.position_m
         self._moved = False  # until then the sensor has reported nothing
 
-    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+    def _control(self, sample: CycleSample) -> None:
         """Command the force, N, from this SYNC on."""
         share, motions = self._state.speed_share, self._motions
         before_m_s2, behind_m_s2 = (
@@ -56,15 +58,15 @@ class CarriageForceTask(OneSetPoint, CyclicTask):
         before_m_s, behind_m_s = (motion.speed_m_s for motion in motions)
         position_m = getattr(sample, self._measured) if self._moved else self._starts_m
         moving = before_m_s, behind_m_s, before_m_s2, behind_m_s2, position_m
-        self._command(sample, outputs, self._force.force_N(self._set_point, *moving))
+        self._command(sample, self._force.force_N(self._set_point, *moving))
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Note that the sensor reports now."""
         self._moved = True
 
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+    def stages(self, sample: CycleSample) -> CompiledStages:
         """Python's stage that commands the force."""
-        before, shown = [command_stage(self, sample)], {self._signal: self._signal}
+        before, shown = [python_stage(partial(self._control, sample))], {self._signal: self._signal}
         return CompiledStages(before=before, cycles=lambda: MANY if self._moved else 0, shown=shown)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
@@ -73,8 +75,9 @@ class CarriageForceTask(OneSetPoint, CyclicTask):
         for motion in self._motions:
             motion.reset()
         standing = 0.0, 0.0, 0.0, 0.0, self._starts_m
-        self._command(sample, outputs, self._force.force_N(self._set_point, *standing))
+        outputs[self._signal] = self._command(sample, self._force.force_N(self._set_point, *standing))
 
-    def _command(self, sample: CycleSample, outputs: Outputs, force_N: float) -> None:
-        outputs[self._signal] = commanded_N = min(max(force_N, 0.0), self._limit_N)
+    def _command(self, sample: CycleSample, force_N: float) -> float:
+        commanded_N = min(max(force_N, 0.0), self._limit_N)
         setattr(sample, self._signal, commanded_N)
+        return commanded_N

@@ -2,22 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-
 from hilbench.bench.tasks.limit_check import LimitCheck
-from hilbench.bench.tasks.limits import (
-    DiagnosisAnswer,
-    Levels,
-    Limited,
-    LimitReading,
-    apart,
-    is_synchronized,
-    load_motor_labels,
-    lowest_threshold,
-)
+from hilbench.bench.tasks.limits import Limited, load_motor_labels
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.safety import LimitsConfig
-from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
 
 
@@ -32,6 +20,7 @@ def limited(limits: LimitsConfig, shape: Shape) -> list[Limited]:
             f"F{shape.numbered(span)}_true_N",
             "N",
             limits.tension_N,
+            signed=True,
         )
         for span in spans
     ]
@@ -43,54 +32,19 @@ def limited(limits: LimitsConfig, shape: Shape) -> list[Limited]:
     return [*tensions, *torques, *speeds]
 
 
-class LimitWatch:
+class LimitWatch(LimitCheck):
     """Watches the samples of one run of a web line. `model`: its E is compared with the estimate."""
 
     def __init__(self, limits: LimitsConfig, model: ModelParameters, cycle_s: float, shape: Shape) -> None:
-        self._limits = limits
-        self._levels = Levels()
-        axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
-        watched = limited(limits, shape)
-        self._limited = [(each.name, each.signal, f" {each.unit}", each.limit) for each in watched]
-        self._tensions = {f"F{shape.numbered(span)}_true_N" for span in spans}
-        self._moduli = [(f"E{shape.numbered(span)}_sim_Pa", model.youngs_modulus_Pa(span)) for span in shape.estimated]
-        self._differences = [
-            f"position difference of {f'axes {axis} and {axis + 1}' if shape.axes > 2 else 'the axes'}"
-            for axis in axes[:-1]
-        ]
-        self._look = LimitCheck(
-            [each.signal for each in watched],
-            [lowest_threshold(each.limit) for each in watched],
-            self._moduli,
-            lowest_threshold(limits.estimate_ratio),
-            [f"x{axis}_m" for axis in axes],
-            [f"v{axis}_cmd_m_s" for axis in axes],
-            lowest_threshold(limits.position_difference_m),
+        super().__init__(
+            limited(limits, shape),
+            "estimate of E over the model's",
+            {f"E{shape.numbered(span)}_sim_Pa": model.youngs_modulus_Pa(span) for span in shape.estimated},
+            limits.estimate_ratio,
+            [
+                f"position difference of {f'axes {axis} and {axis + 1}' if shape.axes > 2 else 'the axes'}"
+                for axis in range(1, shape.axes)
+            ],
+            limits.position_difference_m,
             cycle_s,
         )
-
-    def look(self, sample: CycleSample) -> LimitReading:
-        """Compiled check of a sample (`limits.LimitMonitor`)."""
-        return self._look.of(sample)
-
-    def update(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
-        return [] if self.look(sample).is_below_limits else self.found(sample)
-
-    def found(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """Events of a sample not below its limits (`limits.LimitMonitor`)."""
-        found = self._levels.check(sample.t_s, self._quantities(sample, self._look.apart))
-        self._look.warned(self._levels)
-        return found
-
-    def _quantities(self, sample: CycleSample, apart_m: Sequence[float]) -> Iterator[DiagnosisAnswer]:
-        limits = self._limits
-        for name, signal, unit, limit in self._limited:
-            value = getattr(sample, signal)
-            yield name, value if signal in self._tensions else abs(value), unit, limit
-        for name, difference_m in zip(self._differences, apart_m, strict=True):
-            yield name, difference_m, " m", limits.position_difference_m
-        if is_synchronized(sample):
-            for signal, modulus_Pa in self._moduli:
-                ratio = apart(getattr(sample, signal), modulus_Pa)
-                yield "estimate of E over the model's", ratio, "", limits.estimate_ratio

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, command_stage
+from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, StagedTask
 from hilbench.bench.tasks.tension_cycle import SPEEDS
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_winding_control import DancerPosition, eased
@@ -22,7 +22,7 @@ from hilbench.topology.web_line_positions import FEED, SET_POINT, position_path
 _AT_STOP_M = 5e-4
 
 
-class PositionTask(CyclicTask):
+class PositionTask(StagedTask):
     """Velocity of the axis before a carriage from the position that its sensor reports, around the speed of the axis
     after it.
 
@@ -78,15 +78,15 @@ class PositionTask(CyclicTask):
         """Another one."""
         self._values[path] = value
 
-    def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Velocity of the axis, m/s at the web."""
+    def _control(self, sample: CycleSample) -> None:
+        """Command the velocity of the axis, m/s at the web."""
         behind_m_s, share = self._leader.speed_m_s, self._share()
         if share < 1.0 or not self._moved:
             velocity_m_s = self._loop.let_go(behind_m_s, self._cycle_s)
         else:
             wanted_m, position_m = self._values[self._set_point], getattr(sample, self._measured)
             velocity_m_s = self._loop.velocity(behind_m_s, wanted_m, 0.0, position_m, self._cycle_s)
-        outputs[self._drive] = speed_m_s = share * velocity_m_s
+        speed_m_s = share * velocity_m_s
         self.speeds[0] = speed_m_s, speed_m_s
         setattr(sample, self._command, speed_m_s)
 
@@ -101,13 +101,14 @@ class PositionTask(CyclicTask):
         self._moved = True
         setattr(sample, self._shown, self._values[self._set_point])
 
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+    def stages(self, sample: CycleSample) -> CompiledStages:
         """Python's stage that makes the velocity command; the sample shows the set-point, and keeps it."""
 
         def cycles() -> int:
             return MANY if self._moved and getattr(sample, self._shown) == self._values[self._set_point] else 0
 
-        return CompiledStages(before=[command_stage(self, sample)], cycles=cycles, shown={self._drive: self._command})
+        before = [python_stage(partial(self._control, sample))]
+        return CompiledStages(before=before, cycles=cycles, shown={self._drive: self._command})
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The carriage is as at the start when the drives are enabled again."""
@@ -116,7 +117,7 @@ class PositionTask(CyclicTask):
         setattr(sample, self._shown, self._values[self._set_point])
 
 
-class CarriageStops(CyclicTask):
+class CarriageStops(StagedTask):
     """Fault on a carriage that reaches its stop, where it keeps no tension, as by the limit switches of a
     dancer. Where it is pushed in the direction that lengthens the web, at the upper stop no web holds it."""
 
@@ -135,15 +136,12 @@ class CarriageStops(CyclicTask):
         ]
         self._was_away = False
 
-    def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """Raises BenchFaultError when it has come to a stop."""
-        self._check(sample)
-
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+    def stages(self, sample: CycleSample) -> CompiledStages:
         """Python's stage that checks the position."""
         return CompiledStages(after=[python_stage(partial(self._check, sample))])
 
     def _check(self, sample: CycleSample) -> None:
+        """Raise BenchFaultError when it has come to a stop."""
         position_m = getattr(sample, self._measured)
         at = [(stop_m, why) for stop_m, why in self._stops if abs(position_m - stop_m) < _AT_STOP_M]
         if at and self._was_away:

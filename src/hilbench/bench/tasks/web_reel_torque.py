@@ -6,7 +6,7 @@ from functools import partial
 
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.set_point import OneSetPoint
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, command_stage
+from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, StagedTask
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_roller_motion import RollerMotion
 from hilbench.bench.tasks.web_winding_control import ReelMechanics, ReelTension
@@ -20,7 +20,7 @@ from hilbench.topology.web_line_config import ReelControlConfig, span_beside_ree
 from hilbench.topology.web_line_quantities import tension_set_point
 
 
-class ReelTorqueTask(OneSetPoint, CyclicTask):
+class ReelTorqueTask(OneSetPoint, StagedTask):
     """Torque of a reel's drive from the tension that the load cell next to it reports.
 
     The set-point, N, is settable. With the twin's feed-forward the pull acts at the twin's radius, and the
@@ -55,7 +55,7 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
         self._at_m: float | None = None
         self._reported = False  # the load cell has reported
 
-    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+    def _command(self, sample: CycleSample) -> None:
         """Command the torque, N·m at the motor, from the last sample. No speed is commanded: recorded in the place of
         that is the measured one, so that the axis has no position error."""
         speed_m_s = self._leader.damped_m_s * self._state.speed_share
@@ -65,8 +65,7 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
             acceleration_m_s2 = self._ahead.acceleration_m_s2(speed_m_s)
         tension_N = getattr(sample, self._cell) if self._reported else self._set_point
         now = self._set_point, tension_N, acceleration_m_s2, radius_m, self._state.cycle_s, self._counted_m
-        outputs[self._drive] = torque_Nm = self._loop.torque_Nm(*now)
-        setattr(sample, self._torque, torque_Nm)
+        setattr(sample, self._torque, self._loop.torque_Nm(*now))
         position_m: float = getattr(sample, self._position)
         went_m = 0.0 if self._at_m is None else position_m - self._at_m
         setattr(sample, self._speed, went_m / self._state.cycle_s)
@@ -83,13 +82,14 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
         self._reported = True
         setattr(sample, self._shown, self._set_point)
 
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+    def stages(self, sample: CycleSample) -> CompiledStages:
         """Python's stage that commands the torque; the sample shows the set-point, and keeps it."""
 
         def cycles() -> int:
             return MANY if self._reported and getattr(sample, self._shown) == self._set_point else 0
 
-        return CompiledStages(before=[command_stage(self, sample)], cycles=cycles, shown={self._drive: self._torque})
+        before = [python_stage(partial(self._command, sample))]
+        return CompiledStages(before=before, cycles=cycles, shown={self._drive: self._torque})
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """Command zero torque, and reset: nothing is known of the line."""
@@ -101,7 +101,7 @@ class ReelTorqueTask(OneSetPoint, CyclicTask):
         setattr(sample, self._shown, self._set_point)
 
 
-class LoadCells(CyclicTask):
+class LoadCells(StagedTask):
     """Readings of the load cells of the emulated line: the mean of the tensions on both sides of their idlers."""
 
     def __init__(self, model: ModelParameters, shape: Shape) -> None:
@@ -109,11 +109,7 @@ class LoadCells(CyclicTask):
         beside = {cell: (shape.numbered(rows[cell]), shape.numbered(rows[cell] + 1)) for cell in shape.cells}
         self._cells = [(f"F_{cell}_meas_N", f"F{a}_true_N", f"F{b}_true_N") for cell, (a, b) in beside.items()]
 
-    def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """Write the readings into the sample."""
-        self._write(sample)
-
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+    def stages(self, sample: CycleSample) -> CompiledStages:
         """Python's stage that writes the readings."""
         return CompiledStages(after=[python_stage(partial(self._write, sample))])
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
-from hilbench.bench.tasks.task import CompiledStages, CyclicTask, Outputs, command_stage
+from hilbench.bench.tasks.task import CompiledStages, StagedTask
 from hilbench.bench.tasks.tension_task import Leader
+from hilbench.cycle_program import python_stage
 from hilbench.topology.sample import CycleSample
 
 
@@ -26,7 +28,7 @@ class MeasuredReel:
         return radius_m / self.counted_m if radius_m > 0.0 else 1.0
 
 
-class ReelSpeeds(CyclicTask):
+class ReelSpeeds(StagedTask):
     """Scales the reels' speeds so that the web on them has the speed that was commanded.
 
     `line_speed`: signal of the speed of the leading axis at the web, "" where only its command is needed.
@@ -37,18 +39,17 @@ class ReelSpeeds(CyclicTask):
         self._leader = leader
         self._line_speed = line_speed
 
-    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+    def stages(self, sample: CycleSample) -> CompiledStages:
+        """Python's stage that commands the reels."""
+        shown = {reel.drive: command for reel, command in self._reels}
+        return CompiledStages(before=[python_stage(partial(self._command, sample))], shown=shown)
+
+    def _command(self, sample: CycleSample) -> None:
         """Command the reels, m/s at the radius that they had at the start."""
         if self._line_speed:
             setattr(sample, self._line_speed, self._leader.speed_m_s)
         for reel, command in self._reels:
-            outputs[reel.drive] = speed_m_s = getattr(sample, command) / reel.ratio(sample)
-            setattr(sample, command, speed_m_s)
-
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Python's stage that commands the reels."""
-        shown = {reel.drive: command for reel, command in self._reels}
-        return CompiledStages(before=[command_stage(self, sample)], shown=shown)
+            setattr(sample, command, getattr(sample, command) / reel.ratio(sample))
 
 
 class ReelTravel:

@@ -23,19 +23,14 @@ class RollerMotion:
 
     def reset(self) -> None:
         """Reset to rest."""
-        self._speed_m_s = self._integral_N = 0.0
-
-    @property
-    def speed_m_s(self) -> float:
-        """Speed at the end of the last cycle computed."""
-        return self._speed_m_s
+        self.speed_m_s = self._integral_N = 0.0  #: speed at the end of the last cycle computed
 
     def acceleration_m_s2(self, command_m_s: float) -> float:
         """The mean of the next cycle, with this command."""
-        before_m_s = self._speed_m_s
+        before_m_s = self.speed_m_s
         for _ in range(self._samples):
-            error_m_s = command_m_s - self._speed_m_s
+            error_m_s = command_m_s - self.speed_m_s
             self._integral_N += self._ki_N_per_m * error_m_s * self._sample_s
             force_N = self._kp_N_s_per_m * error_m_s + self._integral_N
-            self._speed_m_s += force_N / self._mass_kg * self._sample_s
-        return (self._speed_m_s - before_m_s) / (self._samples * self._sample_s)
+            self.speed_m_s += force_N / self._mass_kg * self._sample_s
+        return (self.speed_m_s - before_m_s) / (self._samples * self._sample_s)

@@ -21,7 +21,7 @@ from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.plant.web_line import layout as line
 from hilbench.prediction.draws import normal_draws
 from hilbench.prediction.futures import Futures
-from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
+from hilbench.prediction.outlook import Outlook, WatchedQuantity
 from hilbench.prediction.servo_axis import kernel
 from hilbench.prediction.tally import Offsets, Tally, whole_step_s
 
@@ -85,7 +85,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         self,
         model: ServoAxisParameters,
         real: ServoRigParameters,
-        watched: Sequence[DiagnosisAnswer],
+        watched: Sequence[WatchedQuantity],
         *,
         cycle_s: float,
         horizon_s: float,

@@ -22,7 +22,7 @@ from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.prediction.draws import normal_draws
 from hilbench.prediction.futures import Futures
-from hilbench.prediction.outlook import DiagnosisAnswer, Outlook
+from hilbench.prediction.outlook import Outlook, WatchedQuantity
 from hilbench.prediction.tally import Offsets, Tally, whole_step_s
 from hilbench.prediction.web_line import kernel
 
@@ -135,7 +135,7 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         self,
         model: ModelParameters,
         control: Callable[[float], LineControl],
-        watched: Sequence[DiagnosisAnswer],
+        watched: Sequence[WatchedQuantity],
         load_axes: Sequence[int],
         *,
         span: int,
