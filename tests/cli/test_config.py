@@ -81,7 +81,9 @@ def test_check_says_all_that_is_wrong_with_a_config_each_with_its_place(tmp_path
 
 
 def test_a_table_that_is_not_there_is_named_with_what_is_expected(tmp_path):
-    done = hilbench("check", ROOT / "bench_configs" / "web_section_step.yaml", "--set", "steps=[{table: {file: nowhere.csv}}]")
+    done = hilbench(
+        "check", ROOT / "bench_configs" / "web_section_step.yaml", "--set", "steps=[{table: {file: nowhere.csv}}]"
+    )
     assert done.returncode == 2
     assert done.stderr.endswith("nowhere.csv', expected: a file that is there\n")
 
