@@ -18,7 +18,7 @@ import canopen
 from hilbench.canopen.data_types import NODE_ID, DataType, Value, data_type
 from hilbench.canopen.identifiers import MAPPING, RPDO_INDICES, TPDO_INDICES
 from hilbench.errors import UnusableInputError
-from hilbench.files import content, usable
+from hilbench.files import content, require_file, usable
 
 #: Bytes of a file, objects in it with their entries, and the last sub-index there is (CiA 301).
 MOST_BYTES, _MOST_OBJECTS, _LAST_SUB = 4_000_000, 65_536, 254
@@ -111,6 +111,7 @@ def _sections(path: Path, _as_of: tuple[int, int]) -> dict[str, _Section]:
 
 def _as_of(path: Path) -> tuple[int, int]:
     """Modification time and size of a file, to detect a change."""
+    require_file(path)
     with usable(path, "read", "an EDS file"):
         status = path.stat()
     return status.st_mtime_ns, status.st_size
