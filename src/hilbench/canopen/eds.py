@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import pickle
 import re
+from collections.abc import Container
 from copy import copy
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -24,6 +25,7 @@ from hilbench.files import content, require_file, usable
 MOST_BYTES, _MOST_OBJECTS, _LAST_SUB = 4_000_000, 65_536, 254
 #: Below it are data types; 0001h to 0007h may be mapped as placeholders.
 _FIRST_OBJECT = 0x1000
+_FIRST_OF_MAKERS = 0x2000
 _VAR = 0x7
 _ARRAY = 0x8
 _ARRAY_TYPES = (_ARRAY, 0x9)  # ObjectType ARRAY, RECORD
@@ -60,7 +62,8 @@ def load_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
     """Object dictionary of an EDS or DCF file for the device with this node id (``$NODEID`` is resolved).
 
     Raises UnusableInputError with file and line when the file cannot be read or an object in it is not usable:
-    no name, type or access type, a default or a limit that is no value of its type, a sub-index without its object.
+    no name, type or access type, a value of CiA 301's objects or of a DCF that is none of its type, a sub-index without
+    its object. Other odd defaults and limits are left out, and stand in the variable's `description`.
     """
     path = Path(path)
     return _of_node(path, node_id, _as_of(path))
@@ -139,6 +142,15 @@ def undefined_types(path: Path) -> dict[tuple[int, int], int]:
         if "DataType" in section.options
     }
     return {key: code for key, code in codes.items() if data_type(code) != code}
+
+
+def require_integers(od: canopen.ObjectDictionary, indices: Container[int]) -> None:
+    """Raise UnusableInputError for the first of these objects that is something else in the file."""
+    for found in all_variables(od):
+        code = found.data_type or 0
+        if found.index in indices and not data_type(code).is_integer:
+            what = f"{found.index:04X}h sub {found.subindex} '{found.name}' is of data type {code:04X}h"
+            raise UnusableInputError(f"EDS of node {od.node_id}", f"{what}, expected an integer")
 
 
 def _read(path: Path, sections: dict[str, _Section], objects: _Objects) -> canopen.ObjectDictionary:
@@ -428,6 +440,9 @@ def _take_values(path: Path, section: _Section, target: ODVariable, node_id: int
                 continue  # DOMAIN and OCTET_STRING: makers write anything here, and nothing depends on it
             if attribute in ("min", "max") and _is_number(text, node_id):
                 continue  # beyond the type's range, such as 65536 of an UNSIGNED16: it limits nothing
+            if target.index >= _FIRST_OF_MAKERS and attribute != "value":  # no frame depends on it
+                target.description = f"{key} '{text}'"
+                continue
             place = f"{path}:{section.lines.get(key, section.line)}"
             raise UnusableInputError(
                 place, f"{key} of [{section.name}] is '{text}', expected a value of data type {kind:04X}h"
