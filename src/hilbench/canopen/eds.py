@@ -130,20 +130,6 @@ def object_flags(path: Path) -> dict[tuple[int, int], int]:
     return {(index, sub or 0): value for (index, sub), value in flags.items() if value}
 
 
-def undefined_types(path: Path) -> dict[tuple[int, int], int]:
-    """Data types that neither CiA 301 nor the file defines, by index and sub-index; such objects are bytes (DOMAIN).
-
-    Raises UnusableInputError as `load_eds` does.
-    """
-    objects = _object_sections(path, _sections(path, _as_of(path)))
-    codes = {
-        (index, sub or 0): _integer(path, section, "DataType", DataType.DOMAIN)
-        for (index, sub), section in objects.items()
-        if "DataType" in section.options
-    }
-    return {key: code for key, code in codes.items() if data_type(code) != code}
-
-
 def require_integers(od: canopen.ObjectDictionary, indices: Container[int]) -> None:
     """Raise UnusableInputError for the first of these objects that is something else in the file."""
     for found in all_variables(od):
@@ -410,7 +396,10 @@ def _fill_device_information(path: Path, sections: dict[str, _Section], od: cano
 def _variable_of(path: Path, section: _Section, index: int, sub: int) -> ODVariable:
     """Variable of a section that `_check_hierarchy` has passed; unknown data types are raw bytes."""
     found = ODVariable(section.options["ParameterName"], index, sub)
-    found.data_type = int(data_type(_integer(path, section, "DataType", 0)))
+    code = _integer(path, section, "DataType", 0)
+    found.data_type = int(data_type(code))
+    if code != found.data_type:
+        found.description = f"data type {code:04X}h, which the file does not define, taken as bytes"
     found.access_type = section.options["AccessType"].lower()
     found.pdo_mappable = bool(_integer(path, section, "PDOMapping", 0))
     if not _depends_on_node(path, section):
@@ -441,7 +430,7 @@ def _take_values(path: Path, section: _Section, target: ODVariable, node_id: int
             if attribute in ("min", "max") and _is_number(text, node_id):
                 continue  # beyond the type's range, such as 65536 of an UNSIGNED16: it limits nothing
             if target.index >= _FIRST_OF_MAKERS and attribute != "value":  # no frame depends on it
-                target.description = f"{key} '{text}'"
+                target.description = f"{key} '{text}', left out"
                 continue
             place = f"{path}:{section.lines.get(key, section.line)}"
             raise UnusableInputError(

@@ -14,7 +14,7 @@ from hilbench.apps.devices.node import SERIAL_NUMBER, SimulatedNode
 from hilbench.canopen.clock import Clock, MonotonicClock
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.device import Device
-from hilbench.canopen.eds import all_variables, load_eds, undefined_types, variable
+from hilbench.canopen.eds import all_variables, load_eds, variable
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.object_store import SdoAbort, Value
 from hilbench.cia402.assumed import assumed_units
@@ -59,7 +59,7 @@ def simulated_axes(
     behaviour = behaviour or Behaviour()
     od = load_eds(eds, node_id)
     _fill_in_header_objects(od)
-    odd = _odd_entries(eds, od)
+    odd = _odd_entries(od)
     if serial_number is not None:
         _give_serial_number(eds, od, serial_number)
     name = od.device_information.product_name or eds.stem
@@ -89,24 +89,18 @@ def _simulated_axis(
     return SimulatedNode(device, drive, port, rig, units, behaviour, notes, name, axis)
 
 
-def _odd_entries(eds: Path, od: ObjectDictionary) -> list[str]:
-    """What is taken otherwise, or left out of the dictionary, a line each."""
-    others = {
-        v.index: f"{v.index:04X}h:{v.subindex} ({v.data_type or 0:04X}h)"
-        for v in all_variables(od)
-        if of_first_axis(v.index) in _INTEGERS and not data_type(v.data_type or 0).is_integer
-    }
-    for index in others:
+def _odd_entries(od: ObjectDictionary) -> list[str]:
+    """What is not taken as the file has it, in a line; CiA 402's objects that are no integers are left out."""
+    for each in all_variables(od):
+        code = each.data_type or 0
+        if of_first_axis(each.index) in _INTEGERS and not data_type(code).is_integer:
+            each.description = f"data type {code:04X}h, not as in CiA 402, left out"
+    found = [each for each in all_variables(od) if each.description]
+    for index in {each.index for each in found if of_first_axis(each.index) in _INTEGERS and "CiA" in each.description}:
         del od[index]
-    types = [f"{index:04X}h:{sub} ({code:04X}h)" for (index, sub), code in undefined_types(eds).items()]
-    values = [f"{v.index:04X}h:{v.subindex} ({v.description})" for v in all_variables(od) if v.description]
-    texts = {
-        "of data types that the file does not define, taken as bytes": types,
-        "that are no integers as in CiA 402, left out": list(others.values()),
-        "with no values of their data type, left out": values,
-    }
-    more = {text: f" and {len(found) - _MOST_NAMED} more" for text, found in texts.items() if len(found) > _MOST_NAMED}
-    return [f"{text}: {', '.join(found[:_MOST_NAMED])}{more.get(text, '')}" for text, found in texts.items() if found]
+    named = ", ".join(f"{each.index:04X}h:{each.subindex} ({each.description})" for each in found[:_MOST_NAMED])
+    more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
+    return [f"not as the file has it: {named}{more}"] if found else []
 
 
 def _fill_in_header_objects(od: ObjectDictionary) -> None:
