@@ -22,7 +22,6 @@ from hilbench.plant.web_line.records import LineArrays
 from hilbench.plant.web_line.shaft_load import load_torque_Nm
 from hilbench.prediction.judging import TallyVectors, keep, see
 
-Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 # Watched quantities.
