@@ -268,6 +268,10 @@ class OwnIncrements:
         """Create the check; `of_a_cycle`: largest change of a travel, see `play`."""
         self._state, self._positions = own_travels_state(axes, of_a_cycle), np.zeros(axes)
 
+    def vectors(self, axes: int) -> tuple[Vector, Vector]:
+        """State of `own_travels` and positions (N,), for compiled callers."""
+        return self._state, self._positions
+
     def reset(self) -> None:
         """Accept the next positions unchecked."""
         forget_own_travels(self._state)

@@ -420,6 +420,10 @@ class SimulatedLine:
         """Present value of a parameter. Raises ValueError for an unknown name."""
         return self._parameters[checked_name("parameter", name, self._description.parameters)]
 
+    def push_of(self, name: str) -> CarriagePush:
+        """Where a force input enters, by its name."""
+        return self._forces[name]
+
     def set_input(self, name: str, value: float) -> None:
         """Set an input from now on. Raises ValueError for an unknown name."""
         checked_name("input", name, self._description.inputs)
