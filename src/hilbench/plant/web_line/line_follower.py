@@ -314,10 +314,6 @@ class LineFollower(Line):
         self._tear(torn)
         return value
 
-    def put_modulus(self, span: int, modulus_Pa: float) -> None:
-        """Set E of a span, from 1, of a web that is not broken; outputs follow with the next call."""
-        self._p[int(self.moduli[span - 1])] = modulus_Pa
-
     def set_parameter(self, name: str, value: float) -> None:
         """Set a parameter from now on. Raises ValueError for an unknown name or an impossible value."""
         checked_name("parameter", name, self._described.parameters)

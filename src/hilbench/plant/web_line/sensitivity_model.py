@@ -200,15 +200,14 @@ class SensitivityModel:
     def _put_errors(self) -> None:
         """Apply corrected and perturbed E and radii to line and copies: a reel of another radius has turned on
         accordingly."""
+        moduli_Pa = np.tile(self._moduli, (len(self._followers), 1))
         for i, unknown in enumerate(self.unknowns):
             if unknown.kind is Kind.RADIUS:
-                of_each = self._error_of_each(i)
-                self.copies.offsets_m[:, unknown.number - 1] = of_each / self._slopes[unknown.number]
+                self.copies.offsets_m[:, unknown.number - 1] = self._error_of_each(i) / self._slopes[unknown.number]
             elif unknown.kind is Kind.MODULUS:
-                of_each = self._error_of_each(i)
-                for follower, error in zip(self._followers, of_each.tolist(), strict=True):
-                    for k in self._spans[unknown.number]:
-                        follower.put_modulus(k + 1, self._moduli.item(k) * (1.0 + error))
+                moduli_Pa[:, self._spans[unknown.number]] *= 1.0 + self._error_of_each(i)[:, None]
+        for follower, own_Pa in zip(self._followers, moduli_Pa, strict=True):
+            follower.moduli_Pa[:] = own_Pa
 
     def _error_of_each(self, place: int) -> Vector:
         """Error of an unknown in the line and the copies (F,), relative to the model."""
@@ -279,8 +278,9 @@ class SensitivityModel:
         """Correct the unknowns by `changes` (n,), as if they had been right from the start."""
         motions = self.copies.motions
         differences = motions[1:] - motions[0]
-        strains = {c: self._slopes_seen(each) for c, each in enumerate(self.unknowns) if each.kind is Kind.STRAIN}
-        wanted = {c: self._seen(self.unknowns[c])[0] + slopes @ changes for c, slopes in strains.items()}
+        seen = {c: self._seen(each) for c, each in enumerate(self.unknowns) if each.kind is Kind.STRAIN}
+        strains = {c: self._over_steps(of_each) for c, of_each in seen.items()}
+        wanted = {c: seen[c][0] + slopes @ changes for c, slopes in strains.items()}
         for i, unknown in enumerate(self.unknowns):
             if unknown.kind in (Kind.RADIUS, Kind.MODULUS):
                 self.errors[i] += changes[i]
@@ -304,10 +304,8 @@ class SensitivityModel:
             self.errors[i] += changes[i]
             ratio = (1.0 + before[i]) / (1.0 + self._error_of_each(i))
             for k in self._spans[unknown.number]:
-                material, lengths = (
-                    self.copies.motions[:, self._material + k],
-                    self.copies.motions[:, self._lengths + k],
-                )
+                motions = self.copies.motions
+                material, lengths = motions[:, self._material + k], motions[:, self._lengths + k]
                 material[:] = lengths / (1.0 + ratio * (lengths / material - 1.0))
         self._put_errors()
         self.copies.put()
@@ -362,8 +360,8 @@ class SensitivityModel:
                     turned[c, self._place_of_modulus[axis]] = (material_m - lengths_m).item(0) / longer
             i = self._place_of_modulus.get(unknown.number)
             if unknown.kind is Kind.STRAIN and i is not None:
-                strain = self._seen(unknown)[0] / self.modulus_factor(unknown.number)
-                slopes = self._slopes_seen(unknown)
+                seen = self._seen(unknown)
+                strain, slopes = seen[0] / self.modulus_factor(unknown.number), self._over_steps(seen)
                 # The strain's part since the last `renew` already changes the tension with E.
                 turned[c, i] = (strain - slopes[i]) / slopes[c] if slopes[c] > _LEAST_LEFT else 0.0
         return turned

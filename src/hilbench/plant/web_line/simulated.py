@@ -62,9 +62,9 @@ class FurtherState:
 
 @dataclass(frozen=True, slots=True)
 class CarriagePush:
-    """Input force of a carriage: the row of its axis, from 0, and the force added by an effect, N."""
+    """Input force of a carriage: its place in the parameters, and the force added by an effect, N."""
 
-    row: int
+    place: int
     more_N: float
 
 
@@ -433,7 +433,7 @@ class SimulatedLine:
             self._inputs[1] = value
         elif name in self._forces:
             push = self._forces[name]
-            self._layout.axis_rows(self._p)[push.row].force_N = value + push.more_N
+            self._p[push.place] = value + push.more_N
         else:
             span = [quantity.name for quantity in self._description.inputs].index(name) - 2
             self._layout.length_rates(self._inputs)[span] = value

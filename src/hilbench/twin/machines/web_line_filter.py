@@ -349,6 +349,7 @@ class LineFilter:
         has no information."""
         corrected = not limited and self._correct(time_s)
         self._keep(time_s)
+        self._state["uncertain"] = bool(self._may_be)  # what the next section books has changed
         self._begin_window()
         return corrected
 
@@ -432,7 +433,7 @@ class LineFilter:
             transient = watch.decide(self.arrays.searched_Nm2)
             if transient is not None:
                 self._may_be.append((time_s - transient.cycles * self._cycle_s, place, transient))
-        self._state["uncertain"] = len(self._may_be)
+        self._state["uncertain"] = 0.0
         for began_s, place, transient in list(self._may_be):
             if time_s - began_s > _MAY_BE_S:
                 self._may_be.remove((began_s, place, transient))
@@ -616,12 +617,14 @@ class LineFilter:
 
     def modulus(self, axis: int, modulus_Pa: float) -> Found:
         """E in the section after an axis, Pa, with the model's `modulus_Pa`; deviation inf if it is not identified."""
-        factor = self.sensitivities.modulus_factor(axis)
-        if not self._identifies_moduli:
-            return Found(modulus_Pa, inf)
-        if self._is_undecided(axis):
-            return Found(modulus_Pa * factor, inf)
-        return Found(modulus_Pa * factor, modulus_Pa * hypot(self._modulus_deviation(axis), self._model_share))
+        value = modulus_Pa * self.modulus_factor(axis)
+        if not self._identifies_moduli or self._is_undecided(axis):
+            return Found(value, inf)
+        return Found(value, modulus_Pa * hypot(self._modulus_deviation(axis), self._model_share))
+
+    def modulus_factor(self, axis: int) -> float:
+        """Factor on the model's E of the section after an axis; 1 if it is not identified."""
+        return self.sensitivities.modulus_factor(axis) if self._identifies_moduli else 1.0
 
     def _modulus_deviation(self, axis: int) -> float:
         """Deviation of the corrected E, including the estimated but not yet applied correction."""

@@ -32,7 +32,7 @@ from hilbench.estimation.bank import Places
 from hilbench.estimation.web_line import transients
 from hilbench.estimation.web_line.transients import TransientArrays
 from hilbench.plant.sample_coherence import OWN, coherent, own_travels
-from hilbench.plant.web_line import drive_response, kernel, line_kernel, line_vectors, records, rig_cycle
+from hilbench.plant.web_line import drive_response, kernel, line_kernel, line_vectors, rig_cycle
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.drive_response import ResponseArrays
 from hilbench.plant.web_line.line_cycle import LOAD
@@ -71,11 +71,11 @@ OF_SPAN: Final = record_type("span", "axis", "modulus_Pa", "deviation_Pa")
 #: Of a carriage, its row in the integrated quantities (else -1), of a reel, its axis, from 0; radius at the start or 1;
 #: the deviation.
 STATION: Final = record_type("row", "axis", "scale", "deviation")
-#: Of a carriage with a stated force: its row, and the force that an effect adds.
-PUSH: Final = record_type("row", "more_N")
+#: Of a carriage with a stated force: its place in the parameters, and the force that an effect adds.
+PUSH: Final = record_type("place", "more_N")
 #: Of the filter: cycles in the window, and its length; travel, in the window, and from which on the web is known; the
 #: last position of the last roller; duration of the last motion; flags: the speed before is known, load motors emulate
-#: the web, transients are searched, a web slips; number of uncertain transients.
+#: the web, transients are searched, a web slips; what is known of uncertain transients has changed.
 FILTER: Final = record_type(
     *("count", "window", "travel_m", "window_travel_m", "known_from_m", "followed_m", "followed_s"),
     *("has_speeds", "emulated", "searches", "slips", "uncertain"),
@@ -329,12 +329,10 @@ def _listen(a: StationsArrays, table: Places, copies: int) -> None:
     """Read the boundary inputs; those of the line on measured motion act in the next cycle."""
     a.line.u[0], a.line.u[1] = a.values[a.inputs[0]], a.values[a.inputs[1]]
     for k in range(len(a.pushes)):
-        push = a.pushes[k]
-        force_N = a.values[a.inputs[2 + len(a.filter.sensors) + k]] + push.more_N
-        records.axis(line_vectors.arrays(a.line), int(push.row)).force_N = force_N
+        place, more_N = int(a.pushes[k].place), a.pushes[k].more_N
+        a.line.p[place] = force_N = a.values[a.inputs[2 + len(a.filter.sensors) + k]] + more_N
         for each in range(copies):
-            line = arrays_in(table[_FIRST + each * _EACH :], FollowedLine).line
-            records.axis(line_vectors.arrays(line), int(push.row)).force_N = force_N
+            arrays_in(table[_FIRST + each * _EACH :], FollowedLine).line.p[place] = force_N
 
 
 @compiled

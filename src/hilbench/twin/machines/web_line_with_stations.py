@@ -75,6 +75,7 @@ class LineWithStationsTwin:
         self._m_per_rad = np.array([1.0 / model.motor_rad_per_m(axis) for axis in axes])
         self._web_m = sum(model.span_length_m(span) for span in range(1, model.span_count + 1))
         self._before = axes_before_spans(model)
+        self._moduli_Pa = np.array([model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1)])
         self._reels = [roller.axis for roller in model.line_rollers if isinstance(roller.station, Reel) and roller.axis]
         #: A torque-controlled reel moves as measured, all other driven rollers by their drives.
         self._transfer = StateTransfer(self._unknowns.sensitivities.line, self.plant, shape.torqued)
@@ -124,7 +125,7 @@ class LineWithStationsTwin:
             len(self._signals) + np.arange(size),
             np.array(stated, cycle.OF_SPAN),
             np.array(stations, cycle.STATION),
-            np.array([(push.row, push.more_N) for push in map(plant.push_of, forces)], cycle.PUSH),
+            np.array([(push.place, push.more_N) for push in map(plant.push_of, forces)], cycle.PUSH),
             *(unknowns.arrays, self._watch.arrays),
             self._transfer.at,
             plant.vectors,
@@ -247,9 +248,7 @@ class LineWithStationsTwin:
         twin["stated"] = 0.0
         if corrected:
             watch.corrected()
-            for span, axis in enumerate(self._before, 1):
-                name = f"span{span}.youngs_modulus_Pa" if len(self._before) > 1 else "youngs_modulus_Pa"
-                self.plant.set_parameter(name, self._modulus(span, axis).value)
+            self.plant.moduli_Pa[:] = self._moduli_Pa * [unknowns.modulus_factor(axis) for axis in self._before]
         return max(part, cycle.CORRECTION)
 
     def _state(self) -> None:
