@@ -23,7 +23,7 @@ class TwinFastCycle:
         """Raises FastPathRefusedError where the fast path is not possible, as for axes with the same COB-ID."""
         self._answers, self._listeners = answers, application.listeners
         self._awaits = False  # SYNC is answered, the axes have to
-        self._machine = TwinInArrays(application, answers.host, answers.slots)
+        self._machine = TwinInArrays(application, answers.slots)
         received = []
         for listener in self._listeners:
             taken = new_slots(answers.slots, listener.pdo)

@@ -384,8 +384,10 @@ class SensitivityModel:
     def _web_m(self, axis: int) -> tuple[Vector, Vector]:
         """Length of the section after an axis, and unstretched length of its web, for line and copies (F,)."""
         motions, spans = self.copies.motions, self._spans[axis]
-        material_m: Vector = motions[:, [self._material + k for k in spans]].sum(axis=1)
-        length_m: Vector = motions[:, [self._lengths + k for k in spans]].sum(axis=1)
+        first, count = spans[0], len(spans)
+        length_m, material_m = (
+            np.add.reduce(motions[:, at + first : at + first + count], axis=1) for at in (self._lengths, self._material)
+        )
         return length_m, material_m
 
 

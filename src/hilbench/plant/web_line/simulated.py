@@ -28,7 +28,7 @@ from hilbench.plant.web_line import kernel, rig_cycle
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
-from hilbench.plant.web_line.ports import read_ports, write_ports
+from hilbench.plant.web_line.ports import read_ports
 
 KIND = MachineKind.WEB_LINE
 YOUNGS_MODULUS = Quantity("youngs_modulus_Pa", "Pa", "Young's modulus E of the web, without the effects on it")
@@ -322,7 +322,8 @@ class SimulatedLine:
         """Write the outputs `out` of changed vectors to the ports."""
         if self._ports:
             self._show()
-            write_ports(self._ports, self._shown.tolist())
+            for port, shown in zip(self._ports, self._shown.reshape(-1, rig_cycle.SHOWN).tolist(), strict=True):
+                port.feedback = shown
 
     def _refresh(self) -> None:
         kernel.observe(*self.vectors)
@@ -344,10 +345,7 @@ class SimulatedLine:
         torques = self._layout.motor_states(self._state).torque_Nm[list(self._motors)]
         values = [*(y[rows] * self._per_m), *(y[n:][rows] * self._per_m), *torques, *self._out[columns["strain"]]]
         values += [y[each.place] for each in self._further]
-        feedback = tuple(
-            (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
-            for port in self._ports
-        )
+        feedback = tuple(port.feedback for port in self._ports)
         return PlantState(
             values=dict(zip(self._places, map(float, values), strict=True)),
             memory=_Memory(self._state.tobytes(), feedback, deepcopy(self._noise)),
@@ -368,7 +366,7 @@ class SimulatedLine:
         self._state[:] = np.frombuffer(memory.state)
         self._refresh()
         for port, shown in zip(self._ports, memory.feedback, strict=True):
-            port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited = shown
+            port.feedback = shown
         self._noise = deepcopy(memory.noise)
         self._show = self._stage(0, self._shown, self._shown)
 
