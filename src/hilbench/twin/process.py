@@ -298,26 +298,22 @@ class TwinApplication:
         """Run the interpreted rest of a cycle in vectors; True if the next ones may be fully compiled."""
         machine = self._in_vectors
         assert machine is not None, "begun"
-        self._count_syncs(-1 if machine.has_ended(code) else 0)
-        self._sync_number += 1
+        self.count_syncs()
         piece = machine.piece
         went = machine.go_on_from(code)
+        self.count_syncs()
         if went == LOOK or (went != MISSED and not self._reports.quiet):
             self._reports.update()
             self.leaves_vectors = self._machine.in_use.refused
-        self._time_s += self.cycle_s
         # Reports have to be sent before the next SYNC.
         steady = not self.device.outbox and self._reports.quiet and not self.leaves_vectors
         return steady and went != LOOK and piece is machine.piece
 
     def count_syncs(self) -> None:
         """Count the cycles in vectors; call it at intervals, as their number has 16 bits."""
-        if self._in_vectors is not None:
-            self._count_syncs(0)
-
-    def _count_syncs(self, further: int) -> None:
-        vectors = self._vectors
-        syncs = (int(vectors.whole[vectors.number]) - 1 + further - self._sync_number) & 0xFFFF
+        if self._in_vectors is None:
+            return
+        syncs = (int(self._vectors.whole[self._vectors.number]) - 1 - self._sync_number) & 0xFFFF
         self._sync_number += syncs
         for _ in range(syncs):
             self._time_s += self.cycle_s
@@ -330,7 +326,7 @@ class TwinApplication:
         """Move the machine back to its objects."""
         if self._in_vectors is not None:
             if not self._pending:
-                self._count_syncs(0)
+                self.count_syncs()
             outputs, vectors = self._in_vectors.give(), self._vectors
             status = int(vectors.whole[vectors.status]) if self._pending else outputs
             self.io.publish_status(self._sync_number, 0, status)
@@ -447,10 +443,6 @@ class _ByObjects:
     def __init__(self, application: TwinApplication) -> None:
         self._application, self._status = application, 0
         self.piece = python_stage(partial(application._go_on_from, 0))
-
-    def has_ended(self, code: int) -> bool:
-        """False: all of a cycle is left."""
-        return False
 
     def go_on_from(self, code: int) -> int:
         """Run the cycle."""

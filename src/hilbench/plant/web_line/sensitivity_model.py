@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, entry_point, floats, integers, table_of
+from hilbench.compiled import COUNT, TABLE, Reals, Reals2, Wholes2, arrays_in, entry_point, table_of
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_follower import LineFollower, PerturbedCopies
@@ -30,18 +30,25 @@ _LEAST_LEFT: Final = 0.05
 _DAMPING_S: Final = 1e-3
 
 
-#: Rows of the table of `put_load_slopes`.
-SLOPES_ROWS: Final = 8
+class SlopesArrays(NamedTuple):
+    """Sensitivities of the load at each motor (N, n + 1), by tensions (F, K), radii over those at the start (N,), load
+    per tension (N, K), perturbations and errors (n,), observability of unknowns by tensions (n, K), axis and unknown of
+    each reel, from 0."""
+
+    tensions: Reals2
+    ratios: Reals
+    pulls: Reals2
+    steps: Reals
+    errors: Reals
+    identifies: Reals2
+    reels: Wholes2
+    slopes: Reals2
 
 
 @entry_point(COUNT, TABLE, allocates=False)
 def put_load_slopes(unused: int, table: NDArray[np.int64]) -> int:
-    """Update the load sensitivities. Table: tensions (F, K), radii over those at the start (N,), load per tension (N,
-    K), perturbations (n,), errors (n,), observability of unknowns by tensions (n, K), the axis, from 0, and the unknown
-    of each reel, and the sensitivities (N, n + 1)."""
-    tensions, ratios, pulls = floats(table, 0, (1, 2)), floats(table, 1, (1,)), floats(table, 2, (1, 2))
-    steps, errors, identifies = floats(table, 3, (1,)), floats(table, 4, (1,)), floats(table, 5, (1, 2))
-    reels, slopes = integers(table, 6, (1, 2)), floats(table, 7, (1, 2))
+    """Update the load sensitivities; see `SlopesArrays`."""
+    tensions, ratios, pulls, steps, errors, identifies, reels, slopes = arrays_in(table, SlopesArrays)
     for i in range(pulls.shape[0]):
         for c in range(len(steps)):
             pull = 0.0
@@ -146,9 +153,8 @@ class SensitivityModel:
         radii = [(each.number - 1, place) for each, place in self.places.items() if each.kind is Kind.RADIUS]
         reels = np.array(radii, np.int64).reshape(-1, 2)
         lines, identifies = self.copies, self._identified_moduli()
-        self._kept = (
-            lines.tensions_N, lines.ratios, self._pulls, self.steps, self.errors, identifies, reels, self.load_slopes,
-        )  # fmt: skip
+        of_slopes = lines.ratios, self._pulls, self.steps, self.errors, identifies, reels, self.load_slopes
+        self._kept = SlopesArrays(lines.tensions_N, *of_slopes)
         self.slopes_table = table_of(self._kept)  #: of `put_load_slopes`
 
     def _of(self, kind: Kind) -> list[Unknown]:

@@ -148,9 +148,6 @@ class InVectors(Protocol):
         """Compiled stage of `compare`, `listen`, a plant step, `published`, and the status for the next SYNC; replaced
         when `go_on_from` changes its vectors."""
 
-    def has_ended(self, code: int) -> bool:
-        """True if the cycle was completed with this return code."""
-
     def go_on_from(self, code: int) -> int:
         """Run the rest of a cycle whose stage returned this code: WENT_ON, LOOK or MISSED."""
 
@@ -166,8 +163,9 @@ class VectorMachine(Protocol):
     def runs_in_vectors(self) -> bool:
         """True if it can do so in its present state."""
 
-    def warm_up_in_vectors(self) -> None:
-        """Compile, or load, the functions for that."""
+    @property
+    def compiled_cycle(self) -> Callable[..., int]:
+        """Entry point of its cycle, to be loaded in advance."""
 
     def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> InVectors:
         """Move the machine into vectors; its objects must not be used until `give`. `fallback`: of its stage."""

@@ -44,6 +44,7 @@ def twin(
 class ServoAxisTwin:
     """`TwinMachine` with one axis. The model gets the estimated inertia and friction in every cycle."""
 
+    compiled_cycle = staticmethod(cycle.run)
     refused = False
     torque_shift_Nm = 0.0
     torque_undecided = False
@@ -174,10 +175,6 @@ class ServoAxisTwin:
     def runs_in_vectors(self) -> bool:
         """True if `in_vectors` covers all of a cycle: not with a plant whose steps are other code."""
         return type(self.plant) is ServoAxis
-
-    def warm_up_in_vectors(self) -> None:
-        """Compile, or load, the functions for running in vectors."""
-        cycle.warm_up()
 
     def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> ShaftInVectors:
         """Runner in vectors; see `VectorMachine`."""

@@ -19,7 +19,6 @@ from hilbench.compiled import (
     arrays_in,
     compiled,
     entry_point,
-    load,
     record_type,
     table_of,
 )
@@ -119,7 +118,7 @@ def _status(stated: Record, problem: float, known: float) -> int:
 
 
 @entry_point(COUNT, TABLE)
-def _run(stage: int, table: Places) -> int:
+def run(stage: int, table: Places) -> int:
     a = arrays_in(table, _ShaftArrays)
     outputs, whole, at = a.outputs, a.whole, a.at
     position_rad, torque_Nm = a.measured[_POSITION], a.measured[_TORQUE]
@@ -142,11 +141,6 @@ def _run(stage: int, table: Places) -> int:
     whole[at.status] = _status(a.estimator.stated, outputs.problem, a.figures.known)
     whole[at.number] = (whole[at.number] + 1) % _NUMBERS
     return WENT_ON if outputs.problem == 0.0 and outputs.problem_before == 0.0 else LOOK
-
-
-def warm_up() -> None:
-    """Compile, or load, the cycle in advance."""
-    load(_run)
 
 
 class ShaftInVectors:
@@ -182,11 +176,7 @@ class ShaftInVectors:
             estimator,
         )
         #: See `machine.InVectors`.
-        self.piece = CompiledStage(_run, 0, shaft, continues=WENT_ON, fallback=fallback, table=table_of(shaft))
-
-    def has_ended(self, code: int) -> bool:
-        """True: each cycle is completed; see `machine.InVectors`."""
-        return True
+        self.piece = CompiledStage(run, 0, shaft, continues=WENT_ON, fallback=fallback, table=table_of(shaft))
 
     def go_on_from(self, code: int) -> int:
         """Look at a problem that begins, lasts or ends; see `machine.InVectors`."""

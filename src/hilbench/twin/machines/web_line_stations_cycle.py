@@ -39,7 +39,7 @@ from hilbench.plant.web_line.line_cycle import LOAD
 from hilbench.plant.web_line.line_kernel import Copies, FollowedLine
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.rig_cycle import RigArrays
-from hilbench.plant.web_line.sensitivity_model import SLOPES_ROWS, put_load_slopes
+from hilbench.plant.web_line.sensitivity_model import SlopesArrays, put_load_slopes
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED
 
 #: Parts that are Python's, in their order: block of the slip detection, or torques that are of no use; a slip begins;
@@ -166,7 +166,7 @@ class StationsArrays(NamedTuple):
 
 
 _SLOPES: Final = rows_of(StationsArrays)
-_COPIES: Final = _SLOPES + SLOPES_ROWS
+_COPIES: Final = _SLOPES + rows_of(SlopesArrays)
 _FIRST, _EACH = _COPIES + rows_of(Copies), rows_of(FollowedLine)
 
 

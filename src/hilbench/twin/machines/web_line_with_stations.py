@@ -16,7 +16,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import load, table_of
+from hilbench.compiled import table_of
 from hilbench.cycle_program import CompiledStage
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.config import EstimationConfig
@@ -50,6 +50,7 @@ class LineWithStationsTwin:
     """
 
     shift_span = 0
+    compiled_cycle = staticmethod(cycle.run)
     refused = False
     torque_shift_Nm, torque_undecided = 0.0, False
 
@@ -310,10 +311,6 @@ class LineWithStationsTwin:
         """True once it is released; see `VectorMachine`."""
         return self._released
 
-    def warm_up_in_vectors(self) -> None:
-        """Compile, or load, the cycle in advance."""
-        load(cycle.run)
-
     def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> LineWithStationsTwin:
         """Go on in these vectors until `give`; see `VectorMachine`."""
         self._twin["samples"], self._twin["by_object"] = self.plant.step_in_vectors(self._cycle_s).samples, 0.0
@@ -333,10 +330,6 @@ class LineWithStationsTwin:
             cycle.run, cycle.BEGIN, arrays, continues=cycle.DONE, fallback=fallback, table=self._table
         )
         return self
-
-    def has_ended(self, code: int) -> bool:
-        """True if the cycle was completed; see `machine.InVectors`."""
-        return code in _ENDS
 
     def give(self) -> int:
         """Write back to the objects; see `machine.InVectors`."""
