@@ -29,7 +29,7 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
 from hilbench.plant.web_line.stations import Reel, reel_name
-from hilbench.twin.machines.web_line_stations_cycle import SECTION, WATCH, WatchArrays
+from hilbench.twin.machines.web_line_stations_cycle import WATCH, WatchArrays
 
 #: Share of the tension below which nothing is learned, and for how long: a breaking web passes it, another web stays.
 _DOUBTFUL, _DOUBT_S = 0.5, 0.15
@@ -47,24 +47,22 @@ _BLOCK_SHARE: Final = 0.06
 
 
 class _Section:
-    """Section after an axis: its tests; `sums`: a record SECTION of the block being collected."""
+    """Section after an axis: its tests; `block`: of the compiled cycle."""
 
     def __init__(
-        self, model: ModelParameters, axis: int, unknowns: Mapping[Unknown, int], measured: Sequence[str], sums: Any
+        self, model: ModelParameters, axis: int, followed: SensitivityModel, measured: Sequence[str], block: WatchArrays
     ) -> None:
-        self.axis, self.sums = axis, sums
+        self.axis, self._followed, self._block = axis, followed, block
         self._spans = [k for k, of in enumerate(axes_before_spans(model)) if of == axis]
         self.length_m = sum(model.span_length_m(k + 1) for k in self._spans)
         self.usual_N = model.upstream_strain * model.stiffness_N(self._spans[-1] + 1)
         #: Every roller after it is loaded: the tension of others is not observable by torques.
         self.seen = all(model.carries_web_load(later) for later in range(axis + 1, model.axis_count + 1))
-        corrected = {Unknown(Kind.STRAIN, axis), Unknown(Kind.MODULUS, axis)} <= unknowns.keys()
+        corrected = {Unknown(Kind.STRAIN, axis), Unknown(Kind.MODULUS, axis)} <= followed.places.keys()
         self._breaks = SectionDetector(self.usual_N, self.length_m, 0.0)
         block_m = _BLOCK_SHARE * self.length_m
         self.slip = SectionDetector(self.usual_N, self.length_m, block_m) if self.seen and corrected else None
         self.of_carriage = _carriage_slip(model, measured, axis, self.length_m)
-        sums["first"], sums["last"] = self._spans[0], self._spans[-1]
-        sums["modulus"] = -1 if self.slip is None else unknowns[Unknown(Kind.MODULUS, axis)]
 
     def reset(self, *, in_motion: bool) -> None:
         """Reset for a released web, at rest or running."""
@@ -86,11 +84,24 @@ class _Section:
         if self.slip is not None:
             self.slip.suspend()
 
-    def corrected(self, followed: SensitivityModel) -> None:
+    def corrected(self) -> None:
         """Account for a correction of the simulated line since the last cycle."""
         if self.slip is not None:
-            now_N = followed.tensions_N.item(self._spans[-1]) / followed.modulus_factor(self.axis)
-            self.slip.correct(now_N - float(self.sums["now_N"]))
+            last, now = int(self._block.state["last"][0]), self._followed
+            self.slip.correct(self._by_model_N(now.tensions_N, now.errors) - self._by_model_N(*self._seen(last)))
+
+    def _seen(self, at: int | slice) -> tuple[Vector, Vector]:
+        return self._block.tensions_N[at], self._block.errors[at]
+
+    def _by_model_N(self, tensions_N: Vector, errors: Vector) -> Any:
+        """Tension with the model's E, by tensions of the spans (…, K) and errors of the unknowns (…, n)."""
+        at = self._followed.places[Unknown(Kind.MODULUS, self.axis)]
+        return tensions_N[..., self._spans[-1]] / (1.0 + errors[..., at])
+
+    def look_for_slack(self) -> None:
+        """Look whether the web was slack in the whole block."""
+        tightest_N = self._block.tensions_N[:, self._spans].min(axis=1).max()
+        self.slack = bool(max(tightest_N, 0.0) <= SLACK * self.usual_N)
 
     @property
     def problem(self) -> Problem | None:
@@ -118,7 +129,7 @@ class _Section:
     ) -> None:
         """Evaluate a block of so many cycles: what is more by the torques of the rollers (N,), and accelerates them;
         travel of the web since the last one, None if there is none or the simulated line has not settled."""
-        promised_N, followed_N = float(self.sums["promised_N"]) / cycles, float(self.sums["followed_N"]) / cycles
+        promised_N = sum(self._block.tensions_N[:, self._spans[-1]].tolist()) / cycles
         is_N = promised_N - float(np.sum(more_N[self.axis :]))
         self._compare(time_s - lasted_s, is_N / self.usual_N, promised_N / self.usual_N, travel_m)
         self.is_N = is_N
@@ -129,6 +140,7 @@ class _Section:
         self._breaks.take(time_s, is_N, promised_N, travel_m, lasted_s, steady=True)
         if self.slip is not None:
             steady = bool(abs(np.sum(accelerates_N[self.axis :])) < _ACCELERATES * self.usual_N)
+            followed_N = sum(self._by_model_N(*self._seen(slice(None))).tolist()) / cycles
             self.slip.take(time_s, is_N, followed_N, travel_m, lasted_s, steady=steady)
 
     def _compare(self, began_s: float, share: float, promised: float, travel_m: float | None) -> None:
@@ -168,13 +180,10 @@ class SectionWatch:
         axes = range(1, model.axis_count + 1)
         self._per_m, self._followed = np.array([model.motor_rad_per_m(axis) for axis in axes]), followed
         loads = [(axis - 1, model.motor_rad_per_m(axis), model.carries_web_load(axis)) for axis in axes]
-        state, sums = np.zeros(1, WATCH), np.zeros(len(span_of), SECTION)
-        state["cycles"] = cycles
-        positions_m = np.zeros((cycles + 1, len(axes)))
-        self.arrays = WatchArrays(state, sums, np.array(loads, LOAD), np.zeros(len(axes)), positions_m)
-        self._sections = [
-            _Section(model, axis, followed.places, measured, row) for axis, row in zip(span_of, sums, strict=True)
-        ]
+        sizes = len(axes), len(axes), model.span_count, len(followed.unknowns)
+        rows = (np.zeros((cycles + 1, size)) for size in sizes)
+        self.arrays = WatchArrays(np.zeros(1, WATCH), np.array(loads, LOAD), *rows)
+        self._sections = [_Section(model, axis, followed, measured, self.arrays) for axis in span_of]
         self.reset(in_motion=False)
 
     def reset(self, *, in_motion: bool) -> None:
@@ -195,9 +204,7 @@ class SectionWatch:
     def interrupt(self) -> None:
         """Start a new block after a missing cycle, and show the compiled cycle what is known."""
         state, slips_since_s = self.arrays.state[0], self.slips_since_s
-        state["count"] = self.arrays.differences_Nm[:] = 0.0
-        for sum_of in ("promised_N", "followed_N", "tightest_N"):
-            self.arrays.sections[sum_of] = 0.0
+        state["count"] = 0.0
         state["doubtful"], state["since_s"] = self.doubtful, slips_since_s
         state["problem"] = any(section.problem is not None for section in self._sections)
         state["belied"] = any(each.is_N is not None and each.belied_since_s < inf for each in self._sections)
@@ -231,7 +238,7 @@ class SectionWatch:
     def corrected(self) -> None:
         """Account for a correction of the simulated line since the last evaluation."""
         for section in self._sections:
-            section.corrected(self._followed)
+            section.corrected()
 
     def judge(self, time_s: float, inertia_kg_m2: Vector, *, swings: bool) -> None:
         """Evaluate a complete block; `inertia_kg_m2` (N,): at the motors; `swings`: carriages move after a change of
@@ -242,11 +249,11 @@ class SectionWatch:
         gained_m_s = _middle(speeds[-ENDS:]) - _middle(speeds[:ENDS])
         gained_m_s2 = gained_m_s / ((len(speeds) - ENDS) * self._cycle_s)
         accelerates_N = inertia_kg_m2 * self._per_m * gained_m_s2 * self._per_m / ratios
-        more_N = self.arrays.differences_Nm / count * self._per_m / ratios + accelerates_N
+        more_N = -sum(self.arrays.torques_Nm) / count * self._per_m / ratios + accelerates_N
         if self._judged_m is not None and self.arrays.state["time_s"][0] >= _SETTLED_S:
             travels_m = (positions_m[-1] - self._judged_m) * ratios
         for section in self._sections:
-            section.slack = bool(section.sums["tightest_N"] <= SLACK * section.usual_N)
+            section.look_for_slack()
             if section.seen:
                 travel_m = None if travels_m is None else travels_m.item(section.axis)
                 section.judge(time_s, count * self._cycle_s, count, more_N, accelerates_N, travel_m)

@@ -37,7 +37,6 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.drive_response import ResponseArrays
 from hilbench.plant.web_line.line_cycle import LOAD
 from hilbench.plant.web_line.line_kernel import Copies, FollowedLine
-from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.rig_cycle import RigArrays
 from hilbench.plant.web_line.sensitivity_model import SlopesArrays, put_load_slopes
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED
@@ -83,12 +82,9 @@ FILTER: Final = record_type(
 #: Of a station's sensor: scale of its reading; carriage's row in the integrated quantities, first span of a load cell,
 #: axis of a reel and its unknown, all from 0 and -1 for others.
 SENSOR: Final = record_type("scale", "carriage", "cell", "axis", "own")
-#: Of the detection of breaks: time; cycles in the block, and its length; by the last one: doubt about the torques,
-#: latest time without slip, whether there is a problem, and whether tensions are belied; whether it is suspended.
-WATCH: Final = record_type("time_s", "count", "cycles", "doubtful", "since_s", "problem", "belied", "suspended")
-#: Of a section: first and last span, and E in the unknowns (-1: no slip is looked for), from 0; sums of its tension in
-#: the block, by the encoders and by the model's E, its largest least one, and that now by the model's E.
-SECTION: Final = record_type("first", "last", "modulus", "promised_N", "followed_N", "tightest_N", "now_N")
+#: Of the detection of breaks: time; cycles in the block, and place of the latest; by the last block: doubt about the
+#: torques, latest time without slip, whether there is a problem, and whether tensions are belied; whether it rests.
+WATCH: Final = record_type("time_s", "count", "last", "doubtful", "since_s", "problem", "belied", "suspended")
 #: Places in the integers of SYNC number and status.
 AT: Final = record_type("number", "status", of=np.int64)
 _MEASURED_SIZE, _TORQUE, _LIMITED = 4, 2, 4
@@ -124,18 +120,19 @@ class FilterArrays(NamedTuple):
 
 
 class WatchArrays(NamedTuple):
-    """Of the detection of breaks: loads of the web at the motors (N,), sums of the torques over those (N,), and
-    positions at each cycle of a block (cycles + 1, N)."""
+    """Of the detection of breaks: loads of the web at the motors (N,), and of each cycle of a block positions and torques
+    with those loads (C, N), tensions (C, K), and errors of the unknowns (C, n)."""
 
     state: Annotated[Any, WATCH]
-    sections: Annotated[Any, array_of(SECTION)]
     loads: Annotated[Any, array_of(LOAD)]
-    differences_Nm: Reals
     positions_m: Reals2
+    torques_Nm: Reals2
+    tensions_N: Reals2
+    errors: Reals2
 
 
 class StationsArrays(NamedTuple):
-    """The line with its twin; `measured` to `shown` and `values`, `whole` as of `MachineVectors`; `inputs`: places in
+    """The line with its twin; `measured`, `values`, `whole` as of `MachineVectors`; `inputs`: places in
     the values of strain upstream and tension downstream, sensors, and forces on carriages; `handed_on`: integrated
     quantities that the line takes over from that on measured motion."""
 
@@ -146,10 +143,7 @@ class StationsArrays(NamedTuple):
     torques_Nm: Reals
     residuals_Nm: Reals
     measured: Reals
-    asked: Reals
-    shown: Reals
-    motors: Wholes
-    sensors: Reals
+    rig: RigArrays
     silence: Reals
     values: Reals
     whole: Wholes
@@ -162,7 +156,6 @@ class StationsArrays(NamedTuple):
     filter: FilterArrays
     watch: WatchArrays
     handed_on: Wholes
-    line: LineVectors
 
 
 _SLOPES: Final = rows_of(StationsArrays)
@@ -186,7 +179,7 @@ def _follow(a: StationsArrays, table: Places) -> bool:
         return False
     copies, answered = arrays_in(table[_COPIES:], Copies), a.filter.response.torques
     for k in range(len(x_m)):
-        simulated_Nm = a.shown[rig_cycle.SHOWN * k + _TORQUE]
+        simulated_Nm = a.rig.shown[rig_cycle.SHOWN * k + _TORQUE]
         a.residuals_Nm[k] = a.torques_Nm[k] - simulated_Nm - answered[k, answered.shape[1] - 1]
         copies.x[k] = x_m[k]
     if twin.missed == 0.0:
@@ -236,42 +229,24 @@ def _sense(a: StationsArrays, copies: Copies) -> None:
 @compiled
 def _look_for_breaks(a: StationsArrays, first: FollowedLine, tensions_N: Reals) -> bool:
     """Take the cycle for the detection of web break, slip and slack; True if Python's part follows."""
-    v, line = a.watch, line_vectors.arrays(first.line)
-    w, twin, x_m = v.state, a.twin, a.positions_m
-    twin.limited = 0.0
-    for k in range(len(x_m)):
-        twin.limited = max(twin.limited, a.shown[rig_cycle.SHOWN * k + _LIMITED])
+    v, w, twin, line, shown = a.watch, a.watch.state, a.twin, line_vectors.arrays(first.line), a.rig.shown
+    twin.limited, at, out = 0.0, int(w.count), first.line.out
+    for k in range(len(a.positions_m)):
+        twin.limited = max(twin.limited, shown[rig_cycle.SHOWN * k + _LIMITED])
     if twin.limited != 0.0 or twin.frozen != 0.0:
-        _interrupt(v)
+        w.count = 0.0
         return bool(w.suspended == 0.0)
-    w.suspended = 0.0
+    w.suspended, w.last, w.count = 0.0, w.count, w.count + 1.0
     w.time_s += twin.cycle_s
-    for section in v.sections:
-        last, least_N = int(section.last), inf
-        for j in range(int(section.first), last + 1):
-            least_N = min(least_N, tensions_N[j])
-        section.promised_N += tensions_N[last]
-        section.tightest_N = max(section.tightest_N, least_N)
-        if section.modulus >= 0.0:
-            section.now_N = tensions_N[last] / (1.0 + a.filter.errors[int(section.modulus)])
-        section.followed_N += section.now_N
-    for k in range(len(x_m)):
-        v.positions_m[int(w.count), k] = x_m[k]
-        row, load, out = first.rows[k], v.loads[k], first.line.out
+    for j in range(len(tensions_N)):
+        v.tensions_N[at, j] = tensions_N[j]
+    for i in range(len(a.filter.errors)):
+        v.errors[at, i] = a.filter.errors[i]
+    for k in range(len(a.positions_m)):
+        row, load = first.rows[k], v.loads[k]
         pull_Nm = line_kernel.web_torque_Nm(line, out, row, load.loaded != 0.0, load.rad_per_m, out[line.m + row])
-        v.differences_Nm[k] -= a.torques_Nm[k] + pull_Nm
-    w.count += 1.0
-    return bool(w.count > w.cycles)
-
-
-@compiled
-def _interrupt(v: WatchArrays) -> None:
-    """Start a new block of the detection of breaks."""
-    v.state.count = 0.0
-    for k in range(len(v.differences_Nm)):
-        v.differences_Nm[k] = 0.0
-    for section in v.sections:
-        section.promised_N = section.followed_N = section.tightest_N = 0.0
+        v.positions_m[at, k], v.torques_Nm[at, k] = a.positions_m[k], a.torques_Nm[k] + pull_Nm
+    return bool(w.count >= len(v.positions_m))
 
 
 @compiled
@@ -319,18 +294,18 @@ def _add_up(a: StationsArrays, table: Places, first: FollowedLine) -> bool:
 def _hand_on(a: StationsArrays, first: FollowedLine) -> None:
     """Transfer web and undriven parts of the line on measured motion to the simulated one."""
     for at in a.handed_on:
-        a.line.s[lay.S_Y + at] = first.line.s[lay.S_Y + at]
-    kernel.set_modes(line_vectors.arrays(a.line))
-    kernel.observe(*a.line)
+        a.rig.line.s[lay.S_Y + at] = first.line.s[lay.S_Y + at]
+    kernel.set_modes(line_vectors.arrays(a.rig.line))
+    kernel.observe(*a.rig.line)
 
 
 @compiled
 def _listen(a: StationsArrays, table: Places, copies: int) -> None:
     """Read the boundary inputs; those of the line on measured motion act in the next cycle."""
-    a.line.u[0], a.line.u[1] = a.values[a.inputs[0]], a.values[a.inputs[1]]
+    a.rig.line.u[0], a.rig.line.u[1] = a.values[a.inputs[0]], a.values[a.inputs[1]]
     for k in range(len(a.pushes)):
         place, more_N = int(a.pushes[k].place), a.pushes[k].more_N
-        a.line.p[place] = force_N = a.values[a.inputs[2 + len(a.filter.sensors) + k]] + more_N
+        a.rig.line.p[place] = force_N = a.values[a.inputs[2 + len(a.filter.sensors) + k]] + more_N
         for each in range(copies):
             arrays_in(table[_FIRST + each * _EACH :], FollowedLine).line.p[place] = force_N
 
@@ -343,12 +318,12 @@ def _publish(a: StationsArrays, copies: Copies) -> int:
     values, at, place, w = a.values, a.published, 0, a.watch.state
     missing_Nm, status = a.filter.response.torques, RUNNING
     for span in a.spans:
-        values[at[place]] = line_vectors.tension_N(a.line, int(span.span))
+        values[at[place]] = line_vectors.tension_N(a.rig.line, int(span.span))
         place += 1
         axis = int(span.axis)
         if axis >= 0:
             values[at[place]], values[at[place + 1]] = span.modulus_Pa, span.deviation_Pa
-            shown_Nm = a.shown[rig_cycle.SHOWN * axis + _TORQUE]
+            shown_Nm = a.rig.shown[rig_cycle.SHOWN * axis + _TORQUE]
             values[at[place + 2]] = shown_Nm + missing_Nm[axis, missing_Nm.shape[1] - 1]
             values[at[place + 3]] = a.residuals_Nm[axis]
             place += 4
@@ -376,7 +351,7 @@ def run(done: int, table: Places) -> int:
             return BREAKS
     if not usable:
         twin.missed += 1.0
-        _interrupt(a.watch)
+        a.watch.state.count = 0.0
     if usable and done <= BREAKS:
         slips, slipped = a.watch.state.since_s < inf, a.filter.state.slips != 0.0
         a.filter.state.slips = 1.0 if slips else 0.0
@@ -400,7 +375,7 @@ def run(done: int, table: Places) -> int:
         _listen(a, table, count)
         if twin.by_object != 0.0:
             return COMPARED
-        rig_cycle.step(RigArrays(a.line, a.motors, a.asked, a.sensors, a.shown), int(twin.samples), a.silence)
+        rig_cycle.step(a.rig, int(twin.samples), a.silence)
         twin.time_s += twin.cycle_s
         if twin.stated == 0.0:
             return STATED

@@ -117,8 +117,9 @@ class LineWithStationsTwin:
             self._pairing.vectors(axes)[0],
             self._m_per_rad,
             *(np.zeros(axes), np.zeros(axes), self._residuals_Nm),
-            *(np.zeros(4 * axes), np.zeros(axes), np.zeros(rig_cycle.SHOWN * axes)),
-            *(step.motors, step.sensors, step.silence),
+            np.zeros(4 * axes),
+            rig_cycle.RigArrays(plant.vectors, step.motors, np.zeros(axes), step.sensors, np.zeros(5 * axes)),
+            step.silence,
             np.zeros(len(self._signals) + size),
             np.zeros(2, np.int64),
             np.array([(0, 1)], cycle.AT),
@@ -129,7 +130,6 @@ class LineWithStationsTwin:
             np.array([(push.place, push.more_N) for push in map(plant.push_of, forces)], cycle.PUSH),
             *(unknowns.arrays, self._watch.arrays),
             self._transfer.at,
-            plant.vectors,
         )
 
     def _table_of(self, arrays: cycle.StationsArrays) -> NDArray[np.int64]:
@@ -204,8 +204,7 @@ class LineWithStationsTwin:
             return False
         own = self._own
         own.measured[::4], own.measured[2::4] = zip(*measured, strict=True)
-        own.shown[2 :: rig_cycle.SHOWN] = [port.torque_Nm for port in self.ports]
-        own.shown[4 :: rig_cycle.SHOWN] = [port.torque_limited for port in self.ports]
+        own.rig.shown.reshape(-1, rig_cycle.SHOWN)[:] = [port.feedback for port in self.ports]
         self._take_inputs()
         self._twin["time_s"] = time_s
         if self.go_on_from(cycle.run(cycle.BEGIN, self._table)) == MISSED:
@@ -316,8 +315,7 @@ class LineWithStationsTwin:
         self._twin["samples"], self._twin["by_object"] = self.plant.step_in_vectors(self._cycle_s).samples, 0.0
         arrays = self._own._replace(
             measured=vectors.measured,
-            asked=vectors.asked,
-            shown=vectors.shown,
+            rig=self._own.rig._replace(asked=vectors.asked, shown=vectors.shown),
             values=vectors.values,
             whole=vectors.whole,
             at=np.array([(vectors.number, vectors.status)], cycle.AT),
