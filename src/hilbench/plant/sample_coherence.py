@@ -7,7 +7,6 @@ by a cycle's travel, which is many times the web's elongation: 6 mm against 0.3 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from struct import pack_into
 from typing import Final
 
 import numpy as np
@@ -202,7 +201,7 @@ class SampleCoherence:
 
     def __init__(self, least_travel: float) -> None:
         self._least_travel = least_travel
-        self._format, self._state, self._positions = "", coherence_state(0), np.zeros(0)
+        self._state, self._positions = coherence_state(0), np.zeros(0)
 
     @property
     def unpaired(self) -> int:
@@ -221,14 +220,13 @@ class SampleCoherence:
     def vectors(self, rollers: int) -> tuple[Vector, Vector]:
         """State of `coherent` for so many rollers, and their positions (N,): for compiled callers."""
         if rollers != len(self._positions):
-            self._format = f"={rollers}d"
             self._state, self._positions = coherence_state(rollers), np.zeros(rollers)
         return self._state, self._positions
 
     def update(self, *positions_m: float) -> bool:
         """True if this cycle's positions of all rollers, in m at the web, are of one instant."""
         self.vectors(len(positions_m))
-        pack_into(self._format, self._positions.data, 0, *positions_m)
+        self._positions[:] = positions_m
         return coherent(self._state, self._positions, self._least_travel)
 
 

@@ -223,10 +223,6 @@ class SensitivityModel:
 
     # -- values ------------------------------------------------------------------------------------------
 
-    def carriage_m(self, number: int) -> float:
-        """Position of a carriage, from 1."""
-        return self.copies.motions.item(0, self.carriage_row(number))
-
     def carriage_row(self, number: int) -> int:
         """Index of a carriage's position in the integrated quantities."""
         return self._rollers + number - 1

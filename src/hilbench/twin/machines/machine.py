@@ -114,6 +114,23 @@ class TwinMachine(Protocol):
         """Largest step of each output by a model switch, from one cycle to the next; inf, or absent: unlimited."""
 
 
+class OneMethod:
+    """`TwinMachine` with one method, whose estimates are signals: it finds no model errors and no torque shift."""
+
+    refused, torque_undecided = False, False
+    torque_shift_Nm, shift_span = 0.0, 0
+    largest_steps: Sequence[float] = ()
+
+    def found(self) -> Sequence[EstimatedModelError]:
+        """Empty: estimates are published as signals."""
+        return ()
+
+    def use_method(self, number: int) -> None:
+        """Raise ValueError for other than 0: there is no method to choose."""
+        if number:
+            raise ValueError(f"method {number}, expected 0: there is one method")
+
+
 #: Result of a cycle in vectors: continued; continued, with a possibly changed report; continued without measurement, as
 #: it was not coherent.
 WENT_ON, LOOK, MISSED = range(3)

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import copysign, exp, hypot, inf, sqrt
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -101,13 +101,6 @@ class _Kept:
     travel_m: float
     posterior: Posterior
     corrected: Vector
-
-
-class Found(NamedTuple):
-    """Value and its standard deviation."""
-
-    value: float
-    deviation: float
 
 
 class LineFilter:
@@ -598,16 +591,14 @@ class LineFilter:
 
     # -- estimates ---------------------------------------------------------------------------------------
 
-    def carriage(self, number: int) -> Found:
-        """Position of a carriage, m; from 1."""
-        return Found(self.sensitivities.carriage_m(number), self._deviation(Unknown(Kind.CARRIAGE, number)))
+    def carriage_deviation_m(self, number: int) -> float:
+        """Standard deviation of the position of a carriage, from 1."""
+        return self._deviation(Unknown(Kind.CARRIAGE, number))
 
-    def radius(self, axis: int) -> Found:
-        """Radius of a reel, m. Where E is not observable the deviation includes that of the strain."""
-        radius_m = self._model.radius_m(axis)
+    def radius_deviation_m(self, axis: int) -> float:
+        """Standard deviation of the radius of a reel. Where E is not observable it includes that of the strain."""
         by_strain = 0.0 if self._identifies_moduli else _MODULUS_SHARE * abs(self._model.upstream_strain)
-        deviation = hypot(self._deviation(Unknown(Kind.RADIUS, axis)), by_strain)
-        return Found(radius_m * self.sensitivities.ratio(axis), radius_m * deviation)
+        return self._model.radius_m(axis) * hypot(self._deviation(Unknown(Kind.RADIUS, axis)), by_strain)
 
     def separable(self, axis: int) -> bool:
         """True if E of the section after an axis is identified."""
@@ -615,12 +606,11 @@ class LineFilter:
             return False
         return self._modulus_deviation(axis) < 0.5 * _MODULUS_SHARE * self.sensitivities.modulus_factor(axis)
 
-    def modulus(self, axis: int, modulus_Pa: float) -> Found:
-        """E in the section after an axis, Pa, with the model's `modulus_Pa`; deviation inf if it is not identified."""
-        value = modulus_Pa * self.modulus_factor(axis)
+    def modulus_deviation(self, axis: int) -> float:
+        """Standard deviation of E in the section after an axis over the model's E; inf if it is not identified."""
         if not self._identifies_moduli or self._is_undecided(axis):
-            return Found(value, inf)
-        return Found(value, modulus_Pa * hypot(self._modulus_deviation(axis), self._model_share))
+            return inf
+        return hypot(self._modulus_deviation(axis), self._model_share)
 
     def modulus_factor(self, axis: int) -> float:
         """Factor on the model's E of the section after an axis; 1 if it is not identified."""

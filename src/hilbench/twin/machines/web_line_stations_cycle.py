@@ -44,18 +44,8 @@ from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZ
 #: Parts that are Python's, in their order: block of the slip detection, or torques that are of no use; a slip begins;
 #: transients to decide or to forget; correction; tensions of sections whose encoders are wrong; boundary inputs to be
 #: read (a command alone); what is stated with a deviation. Then the ends of a cycle, by its objects and in vectors.
-BEGIN: Final = 0
-BREAKS: Final = 1
-SLIP: Final = 2
-TRANSIENTS: Final = 3
-CORRECTION: Final = 4
-BELIED: Final = 5
-LISTEN: Final = 6
-STATED: Final = 7
-COMPARED: Final = 8
-DONE: Final = 9
-PROBLEM: Final = 10
-WITHOUT: Final = 11
+BEGIN, BREAKS, SLIP, TRANSIENTS, CORRECTION, BELIED, LISTEN, STATED = 0, 1, 2, 3, 4, 5, 6, 7
+COMPARED, DONE, PROBLEM, WITHOUT = 8, 9, 10, 11
 
 #: Of the twin: time; cycle time, drive samples of a cycle; least travel of the coherence check; flags: axes have speeds
 #: of their own, the line is stepped by its object. Cycles without measurement; last position of the last roller, length
@@ -65,12 +55,11 @@ TWIN: Final = record_type(
     *("time_s", "cycle_s", "samples", "least_travel_m", "own_travels", "by_object", "missed", "last_m", "unknown_m"),
     *("frozen", "limited", "stated", "separable", "status"),
 )
-#: Of a published section: its last span, from 0; the axis after it, from 0, if E is stated (else -1), E and deviation.
+#: A published section: its span, from 0; the axis after it, from 0, if E is stated (else -1), E and deviation. Then a
+#: carriage with its row in the integrated quantities (else -1), or a reel with its axis, from 0, and the radius at the
+#: start; the deviation. A carriage with a stated force: its place in the parameters, and the force that an effect adds.
 OF_SPAN: Final = record_type("span", "axis", "modulus_Pa", "deviation_Pa")
-#: Of a carriage, its row in the integrated quantities (else -1), of a reel, its axis, from 0; radius at the start or 1;
-#: the deviation.
 STATION: Final = record_type("row", "axis", "scale", "deviation")
-#: Of a carriage with a stated force: its place in the parameters, and the force that an effect adds.
 PUSH: Final = record_type("place", "more_N")
 #: Of the filter: cycles in the window, and its length; travel, in the window, and from which on the web is known; the
 #: last position of the last roller; duration of the last motion; flags: the speed before is known, load motors emulate
@@ -120,7 +109,7 @@ class FilterArrays(NamedTuple):
 
 
 class WatchArrays(NamedTuple):
-    """Of the detection of breaks: loads of the web at the motors (N,), and of each cycle of a block positions and torques
+    """Of the detection of breaks: loads of the web at the motors (N,); of each cycle of a block positions and torques
     with those loads (C, N), tensions (C, K), and errors of the unknowns (C, n)."""
 
     state: Annotated[Any, WATCH]

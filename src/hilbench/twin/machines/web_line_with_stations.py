@@ -31,17 +31,16 @@ from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.sizes import least_travel_m
 from hilbench.plant.web_line.stations import Reel, force_input
 from hilbench.topology.signals import Shape
-from hilbench.twin.estimated_errors import EstimatedModelError
 from hilbench.twin.machines import web_line_stations_cycle as cycle
-from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, BoundaryInputs, MachineVectors, Measured
+from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, BoundaryInputs, MachineVectors, Measured, OneMethod
 from hilbench.twin.machines.web_line_breaks import SectionWatch
-from hilbench.twin.machines.web_line_filter import Found, LineFilter
+from hilbench.twin.machines.web_line_filter import LineFilter
 
 #: Result of each end of a cycle.
 _ENDS = {cycle.COMPARED: WENT_ON, cycle.DONE: WENT_ON, cycle.PROBLEM: LOOK, cycle.WITHOUT: MISSED}
 
 
-class LineWithStationsTwin:
+class LineWithStationsTwin(OneMethod):
     """`TwinMachine` of a line with stations, and `VectorMachine`. Motor torques are those of the closed line from the
     measured state on.
 
@@ -49,10 +48,7 @@ class LineWithStationsTwin:
     tensions are those of the measured motion, whatever they were.
     """
 
-    shift_span = 0
     compiled_cycle = staticmethod(cycle.run)
-    refused = False
-    torque_shift_Nm, torque_undecided = 0.0, False
 
     def __init__(
         self,
@@ -253,16 +249,15 @@ class LineWithStationsTwin:
 
     def _state(self) -> None:
         """Update what is published with its deviation."""
+        unknowns, model = self._unknowns, self._model
         for row, span in zip(self._own.spans, self._shape.simulated, strict=True):
             if row["axis"] >= 0.0:
-                row["modulus_Pa"], row["deviation_Pa"] = self._modulus(span, self._before[span - 1])
-        carriages = range(1, len(self._model.carriages) + 1)
-        stations = [*map(self._unknowns.carriage, carriages), *map(self._unknowns.radius, self._reels)]
-        self._own.stations["deviation"] = [found.deviation for found in stations]
+                axis, modulus_Pa = self._before[span - 1], model.youngs_modulus_Pa(span)
+                row["modulus_Pa"] = modulus_Pa * unknowns.modulus_factor(axis)
+                row["deviation_Pa"] = modulus_Pa * unknowns.modulus_deviation(axis)
+        carriages = map(unknowns.carriage_deviation_m, range(1, len(model.carriages) + 1))
+        self._own.stations["deviation"] = [*carriages, *map(unknowns.radius_deviation_m, self._reels)]
         self._twin["separable"], self._twin["stated"] = self.separable, 1.0
-
-    def _modulus(self, span: int, axis: int) -> Found:
-        return self._unknowns.modulus(axis, self._model.youngs_modulus_Pa(span))
 
     @property
     def separable(self) -> bool:
@@ -283,18 +278,6 @@ class LineWithStationsTwin:
         """Read the boundary inputs of the web, and forces on carriages, from the last SYNC on."""
         self._take_inputs()
         cycle.run(cycle.LISTEN, self._table)
-
-    def found(self) -> Sequence[EstimatedModelError]:
-        """Empty: estimates are published as signals."""
-        return ()
-
-    def use_method(self, number: int) -> None:
-        """Raise ValueError: there is no method to choose."""
-        if number:
-            raise ValueError(f"method {number}, expected 0: E of a line with stations is found in one way")
-
-    #: See `TwinMachine`.
-    largest_steps: Sequence[float] = ()
 
     def published(self) -> tuple[float, ...]:
         """Outputs of the compiled cycle."""
