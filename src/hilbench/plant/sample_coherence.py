@@ -143,19 +143,12 @@ def own_travels_state(axes: int, play: float) -> Vector:
     return state
 
 
-@compiled
-def miss_own(state: Vector) -> None:
-    """Count a cycle without positions of its own."""
-    own = record_in(state, 0, OWN)
-    own.since += 1.0
-    own.behind += 1.0
-
-
 @entry_point(VECTOR, VECTOR, allocates=False)
 def own_travels(state: Vector, positions: Vector) -> bool:
     """True if positions (N,) are of one instant; see `OwnIncrements`."""
-    miss_own(state)
     own, n = record_in(state, 0, OWN), len(positions)
+    own.since += 1.0
+    own.behind += 1.0
     last, usual = state[_OF_AXES : _OF_AXES + n], state[_OF_AXES + n : _OF_AXES + 2 * n]
     travels, plays = state[_OF_AXES + 2 * n : _OF_AXES + 3 * n], state[_OF_AXES + 3 * n :]
     if own.has_positions == 0.0:
@@ -286,7 +279,8 @@ class OwnIncrements:
 
     def miss(self) -> None:
         """Count a cycle without positions of its own."""
-        miss_own(self._state)
+        own = record_at(self._state, OWN)
+        own.since, own.behind = own.since + 1.0, own.behind + 1.0
 
     def update(self, *positions: float) -> bool:
         """True if this cycle's positions of all axes, in the machine's unit, are of one instant."""

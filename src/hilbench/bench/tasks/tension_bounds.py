@@ -114,44 +114,28 @@ def stretch(
 
 
 @compiled
-def driving_N(p: Vector, axis: int, torque_Nm: float, v_m_s: float) -> float:
-    """Force at the web of a motor less its roller's resistance, by the parameters of a line; `axis` from 0."""
-    line = records.of_parameters(p)
-    return float(laws.measured_drive_N(records.axis(line, axis), records.motor(line, axis), torque_Nm, 0.0, v_m_s))
-
-
-@compiled
-def sticking_N(p: Vector, axis: int) -> float:
-    """Dry friction of the model by which a roller at rest may hold either way, N."""
-    return float(laws.breakaway_N(records.axis(records.of_parameters(p), axis)))
-
-
-@compiled
-def _kept_of_a_turn(radius_m: float, travel_m: float) -> float:
-    """Largest share of the amplitude of a once-per-turn ripple that a mean over this travel keeps."""
-    return min(1.0, 2.0 * radius_m / travel_m) if travel_m > 0.0 else 1.0
-
-
-@compiled
 def momentum_balance(
     p: Vector, f: Record, rollers: Records, motion: Records, first: int, mean_s: float, block: Record
 ) -> None:
     """Momentum balance: tension before the roller of index `first`, and its error, into a block: `rollers` (N, ROLLER),
     their `motion` (N, MOTION); block.tension_N: tension after the line at first; `mean_s`: averaging time."""
-    block.variance_N2, block.sticks_N, turning_N2 = 0.0, 0.0, 0.0
+    block.variance_N2, block.sticks_N, turning_N2, line = 0.0, 0.0, 0.0, records.of_parameters(p)
     for j in range(first, len(rollers)):
         roller, torque_Nm = rollers[j], motion[j].torque_Nm
         speed_m_s, rate_m_s2 = motion[j].speed_m_s, motion[j].rate_m_s2
-        block.tension_N += driving_N(p, j, torque_Nm, speed_m_s) - roller.mass_kg * rate_m_s2
+        axis, motor = records.axis(line, j), records.motor(line, j)
+        block.tension_N += laws.measured_drive_N(axis, motor, torque_Nm, 0.0, speed_m_s) - roller.mass_kg * rate_m_s2
         block.variance_N2 += roller.dry_N**2 + (roller.viscous * speed_m_s) ** 2 + roller.offset_N**2
         block.variance_N2 += (roller.scale * roller.rad_per_m * torque_Nm) ** 2
         block.variance_N2 += (roller.inertia_kg * rate_m_s2) ** 2
-        kept = _kept_of_a_turn(roller.radius_m, abs(speed_m_s) * mean_s)
+        # Largest share of the amplitude of a once-per-turn ripple that a mean over this travel keeps.
+        travel_m = abs(speed_m_s) * mean_s
+        kept = min(1.0, 2.0 * roller.radius_m / travel_m) if travel_m > 0.0 else 1.0
         turning_N2 += (roller.unbalance_N * kept) ** 2
         if j == first:
             turning_N2 += (f.eccentric_N * kept) ** 2
         if abs(speed_m_s) < STICKS_M_S:
-            block.sticks_N += sticking_N(p, j)
+            block.sticks_N += laws.breakaway_N(axis)
     last = len(rollers) - 1
     speed_m_s = motion[last].speed_m_s
     dragged_N = f.idlers_viscous * speed_m_s

@@ -171,7 +171,10 @@ def _compare(a: _LineArrays, table: Places, first: int, strain_prev: float, F_ne
         span.residual_Nm = a.measured[_MEASURED_SIZE * (place + 1) + _TORQUE] - t.shift_Nm - shown[at]
         torque_Nm, centre_m, strain_behind = a.torques_Nm[place + 1], nan, span.behind_strain
         if len(x_m) > 2:
-            torque_Nm += rollers.force_behind_N(a.rollers, place + 2) / rad_per_m[place + 1]
+            behind_N = 0.0  # of the motors behind, less their rollers' resistance
+            for axis in range(place + 1, len(a.rollers.forces_N)):
+                behind_N += a.rollers.forces_N[axis]
+            torque_Nm += behind_N / rad_per_m[place + 1]
             centre_m = rollers.centre_m(a.rollers, place + 2)
         torque_sim_Nm = 0.0  # of all motors after the span, referred to the first of them
         for axis in range(place + 1, len(rad_per_m)):

@@ -280,26 +280,6 @@ def _add_up(a: StationsArrays, table: Places, first: FollowedLine) -> bool:
 
 
 @compiled
-def _hand_on(a: StationsArrays, first: FollowedLine) -> None:
-    """Transfer web and undriven parts of the line on measured motion to the simulated one."""
-    for at in a.handed_on:
-        a.rig.line.s[lay.S_Y + at] = first.line.s[lay.S_Y + at]
-    kernel.set_modes(line_vectors.arrays(a.rig.line))
-    kernel.observe(*a.rig.line)
-
-
-@compiled
-def _listen(a: StationsArrays, table: Places, copies: int) -> None:
-    """Read the boundary inputs; those of the line on measured motion act in the next cycle."""
-    a.rig.line.u[0], a.rig.line.u[1] = a.values[a.inputs[0]], a.values[a.inputs[1]]
-    for k in range(len(a.pushes)):
-        place, more_N = int(a.pushes[k].place), a.pushes[k].more_N
-        a.rig.line.p[place] = force_N = a.values[a.inputs[2 + len(a.filter.sensors) + k]] + more_N
-        for each in range(copies):
-            arrays_in(table[_FIRST + each * _EACH :], FollowedLine).line.p[place] = force_N
-
-
-@compiled
 def _publish(a: StationsArrays, copies: Copies) -> int:
     """Tension of each section; where E is stated also E with its deviation (inf if not identified), the simulated
     torque of the axis after it, and the residual; position of each carriage, radius of each reel, with their
@@ -333,7 +313,7 @@ def run(done: int, table: Places) -> int:
     """Run a cycle from behind a part (0: all of it) to the next one that is Python's, or to its end."""
     a = arrays_in(table, StationsArrays)
     copies, first = arrays_in(table[_COPIES:], Copies), arrays_in(table[_FIRST:], FollowedLine)
-    twin, count, usable = a.twin, len(copies.offsets), True
+    twin, line, count, usable = a.twin, a.rig.line, len(copies.offsets), True
     if done == BEGIN:
         usable = _follow(a, table)
         if usable and _look_for_breaks(a, first, copies.tensions[0]):
@@ -356,12 +336,20 @@ def run(done: int, table: Places) -> int:
         if a.watch.state.belied != 0.0:
             return BELIED
     if usable and done <= BELIED:
-        _hand_on(a, first)
+        for at in a.handed_on:
+            line.s[lay.S_Y + at] = first.line.s[lay.S_Y + at]
+        kernel.set_modes(line_vectors.arrays(line))
+        kernel.observe(*line)
     if done <= BELIED and twin.by_object != 0.0:
         twin.time_s += twin.cycle_s
         return COMPARED if usable else WITHOUT
     if done <= LISTEN:
-        _listen(a, table, count)
+        line.u[0], line.u[1] = a.values[a.inputs[0]], a.values[a.inputs[1]]
+        for k in range(len(a.pushes)):
+            place, more_N = int(a.pushes[k].place), a.pushes[k].more_N
+            line.p[place] = force_N = a.values[a.inputs[2 + len(a.filter.sensors) + k]] + more_N
+            for each in range(count):  # from the next cycle on
+                arrays_in(table[_FIRST + each * _EACH :], FollowedLine).line.p[place] = force_N
         if twin.by_object != 0.0:
             return COMPARED
         rig_cycle.step(a.rig, int(twin.samples), a.silence)
