@@ -60,7 +60,7 @@ TWIN: Final = record_type(
 #: start; the deviation. A carriage with a stated force: its place in the parameters, and the force that an effect adds.
 OF_SPAN: Final = record_type("span", "axis", "modulus_Pa", "deviation_Pa")
 STATION: Final = record_type("row", "axis", "scale", "deviation")
-PUSH: Final = record_type("place", "more_N")
+PUSH: Final = record_type("parameter", "more_N")
 #: Of the filter: cycles in the window, and its length; travel, in the window, and from which on the web is known; the
 #: last position of the last roller; duration of the last motion; flags: the speed before is known, load motors emulate
 #: the web, transients are searched, a web slips; what is known of uncertain transients has changed.
@@ -346,10 +346,10 @@ def run(done: int, table: Places) -> int:
     if done <= LISTEN:
         line.u[0], line.u[1] = a.values[a.inputs[0]], a.values[a.inputs[1]]
         for k in range(len(a.pushes)):
-            place, more_N = int(a.pushes[k].place), a.pushes[k].more_N
-            line.p[place] = force_N = a.values[a.inputs[2 + len(a.filter.sensors) + k]] + more_N
+            parameter, more_N = int(a.pushes[k].parameter), a.pushes[k].more_N
+            line.p[parameter] = force_N = a.values[a.inputs[2 + len(a.filter.sensors) + k]] + more_N
             for each in range(count):  # from the next cycle on
-                arrays_in(table[_FIRST + each * _EACH :], FollowedLine).line.p[place] = force_N
+                arrays_in(table[_FIRST + each * _EACH :], FollowedLine).line.p[parameter] = force_N
         if twin.by_object != 0.0:
             return COMPARED
         rig_cycle.step(a.rig, int(twin.samples), a.silence)
