@@ -152,12 +152,12 @@ class _Run(BenchFastCycle):
             heartbeat()
         self._tick(begun_ns, self._ticked + 1)
         self._hardware.step()
-        self._machine.go_on()
+        self._here.machine.go_on_in_vectors()
         self._publish()
         return True
 
     def _stages(self) -> Sequence[CompiledStage] | None:
-        machine, hardware = self._machine.piece, self._hardware.step
+        machine, hardware = self._here.machine.in_vectors, self._hardware.step
         status, _ = self._wiring.status
         if machine is None or not isinstance(hardware, CompiledStage) or self._wiring.frames.every(status) != 1:
             return None

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hilbench.compiled import of_record
-from hilbench.cycle_program import CompiledStage
 from hilbench.fast_path import layout as lay
 from hilbench.fast_path.motors import Motors
 from hilbench.fast_path.tables import NO_SLOT, FastPathRefusedError, Slots
@@ -56,22 +55,9 @@ class TwinInArrays:
         self._application.count_syncs()
         return not (self._motors.over or self._application.leaves_vectors)
 
-    @property
-    def piece(self) -> CompiledStage | None:
-        """Stage of a cycle, as `go_on`; None while the machine has an interpreted part in each."""
-        return self._application.in_vectors
-
-    def go_on(self) -> None:
-        """Run the cycle after the axes' answers to this SYNC."""
-        self._application.go_on_in_vectors()
-
     def publish_by_objects(self) -> None:
         """Publish by the objects: a virtual axis has left the fast path."""
         self._motors.publish_by_objects()
-
-    def leave(self) -> None:
-        """Leave without an answered SYNC: the objects are up to date."""
-        self._application.forget_vectors()
 
     def give(self, *, awaits: bool = False) -> None:
         """Write the arrays back to the objects; `awaits`: the axes have not answered the last SYNC yet."""

@@ -118,6 +118,7 @@ class SensitivityModel:
         self.line = damped_follower(model)
         self._model = model
         self._followers = [self.line, *(damped_follower(model) for _ in self.unknowns)]
+        self._moduli_of_each = [follower.moduli_Pa for follower in self._followers]
         #: All of them, the line itself in the first row.
         self.copies = PerturbedCopies(self._followers)
         self.steps = np.array([unknown.step for unknown in self.unknowns])
@@ -125,6 +126,7 @@ class SensitivityModel:
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
         self._rollers, carriages = len(model.line_rollers), model.carriages
         self._before, self._span_count = axes_before_spans(model), model.span_count
+        self._held = [self._before[each.first_span - 1] for each in carriages]  # axis before the section of a carriage
         #: Offsets of material lengths and span lengths in the integrated quantities.
         self._material = 4 * (self._rollers + len(carriages))
         self._lengths = self._material + self._span_count
@@ -164,8 +166,7 @@ class SensitivityModel:
         """Observability of unknowns by tensions (n, K): where a carriage keeps them E of its web shows only in
         oscillations, whose initial state is unknown."""
         identifies = np.ones((len(self.unknowns), self._span_count))
-        for carriage in self._model.carriages:
-            axis = self._before[carriage.first_span - 1]
+        for axis in self._held:
             if axis in self._place_of_modulus:
                 identifies[self._place_of_modulus[axis], self._spans[axis]] = 0.0
         return identifies
@@ -212,8 +213,8 @@ class SensitivityModel:
                 self.copies.offsets_m[:, unknown.number - 1] = self._error_of_each(i) / self._slopes[unknown.number]
             elif unknown.kind is Kind.MODULUS:
                 moduli_Pa[:, self._spans[unknown.number]] *= 1.0 + self._error_of_each(i)[:, None]
-        for follower, own_Pa in zip(self._followers, moduli_Pa, strict=True):
-            follower.moduli_Pa[:] = own_Pa
+        for view, own_Pa in zip(self._moduli_of_each, moduli_Pa, strict=True):
+            view[:] = own_Pa
 
     def _error_of_each(self, place: int) -> Vector:
         """Error of an unknown in the line and the copies (F,), relative to the model."""
@@ -355,7 +356,7 @@ class SensitivityModel:
         turned = np.eye(len(self.unknowns))
         for c, unknown in enumerate(self.unknowns):
             if unknown.kind is Kind.CARRIAGE:
-                axis = self._before[self._model.carriages[unknown.number - 1].first_span - 1]
+                axis = self._held[unknown.number - 1]
                 lengths_m, material_m = self._web_m(axis)
                 longer = self.longer_by(unknown, axis)
                 if axis in self._place_of_modulus and longer:

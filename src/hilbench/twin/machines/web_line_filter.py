@@ -512,7 +512,8 @@ class LineFilter:
         self._filter.turn(turned)
         self._response.turn(np.asarray(np.linalg.inv(turned), np.float64))
         self.sensitivities.refresh_load_slopes()
-        self._set_inertia()
+        if self._wound_kg_m2.any():
+            self._set_inertia()
 
     def put_tensions(self, tensions_N: Mapping[int, float]) -> None:
         """Set the tensions of the sections after these axes, whatever the encoders' strain; only of those whose strain
