@@ -272,10 +272,13 @@ def _fields(kind: type[tuple[Any, ...]]) -> tuple[Any, ...]:
     return tuple([hint.__metadata__[0] if hasattr(hint, "__metadata__") else hint for hint in hints])
 
 
-def _flat(arrays: tuple[Any, ...]) -> Iterator[tuple[str, Any, NDArray[Any]]]:
-    """Name, type and array of each row of the table of a NamedTuple of arrays."""
-    names: tuple[str, ...] = type(arrays)._fields  # type: ignore[attr-defined]
-    for name, kind, array in zip(names, _fields(type(arrays)), arrays, strict=True):
+def _flat(arrays: Sequence[Any]) -> Iterator[tuple[str, Any, NDArray[Any]]]:
+    """Name, type and array of each row of the table of a NamedTuple of arrays, or of several of these."""
+    if not hasattr(arrays, "_fields"):
+        for each in arrays:
+            yield from _flat(each)
+        return
+    for name, kind, array in zip(arrays._fields, _fields(type(arrays)), arrays, strict=True):  # type: ignore[arg-type]
         if isinstance(kind, type):
             yield from _flat(array)
         else:
@@ -283,13 +286,12 @@ def _flat(arrays: tuple[Any, ...]) -> Iterator[tuple[str, Any, NDArray[Any]]]:
 
 
 def table_of(arrays: Sequence[Any]) -> NDArray[np.int64]:
-    """Table of the addresses and shapes of a NamedTuple of arrays, or of several of these, a row for each array: for
-    an entry point with more arrays than a call from Python should pass one by one (70 ns each). The caller keeps them.
+    """Table of the addresses and shapes of the arrays of a NamedTuple, or of several of these, a row each: for an entry
+    point with more arrays than a call from Python should pass one by one (70 ns each). The caller keeps them.
 
-    Raises ValueError for an array that is not as its field says.
+    Raises ValueError for an array that is not as its field says, or not in one piece.
     """
-    several: Sequence[Any] = [arrays] if hasattr(arrays, "_fields") else arrays
-    rows = [row for each in several for row in _flat(each)]
+    rows = list(_flat(arrays))
     table = np.zeros((len(rows), TABLE_WIDTH), np.int64)
     for row, (name, kind, array) in zip(table, rows, strict=True):
         fits = (

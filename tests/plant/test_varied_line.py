@@ -29,5 +29,5 @@ def test_a_line_that_starts_under_way_has_the_tensions_of_its_strains_at_once(
     # Equally strained everywhere and at that speed, it goes on so.
     ratios = [varied.ratio(axis) for axis in range(1, parameters.axis_count + 1)]
     moved = [x + speed_m_s * CYCLE_S / ratio for x, ratio in zip(positions_m, ratios, strict=True)]
-    varied.follow(moved, CYCLE_S)
+    varied.copies.follow(moved, CYCLE_S)
     assert varied.line.tension_N == pytest.approx(strained_N, rel=0.02)

@@ -187,7 +187,6 @@ class RigFastCycle:
             step_s,
             answers.slots.cells[0],
             alone=len(rig.drives) == len(rig.ports),
-            shows_ports=False,
         )
 
     @property

@@ -16,8 +16,7 @@ class Motors:
 
     `asked` (D,): the set points that they follow; `shown`, (D · PORT_SIZE,): the values of their ports; `turned`: the
     rig that they turn, by `step_s` each cycle; None where the rig is stepped elsewhere; `alone`: it
-    has no other motors; `cells`: the drives' objects, each with its slot and whether that is a real one; `shows_ports`:
-    the ports are read in every cycle.
+    has no other motors; `cells`: the drives' objects, each with its slot and whether that is a real one.
     """
 
     def __init__(
@@ -33,7 +32,6 @@ class Motors:
         cells: Sequence[tuple[Cell, int, bool]],
         *,
         alone: bool,
-        shows_ports: bool,
     ) -> None:
         self.over = False  #: the objects know more than the arrays
         self._drives, self._rows, self._cells = drives, rows, cells
@@ -41,8 +39,8 @@ class Motors:
         self._asked, self._shown = asked, shown
         self._ports = [drive.firmware.port for drive in drives]
         self._asked[:] = rows["set_point"]
-        self._shown[:] = self._of_ports()
-        self._turned, self._alone, self._shows_ports = turned, alone, shows_ports
+        self._shown.reshape(-1, lay.PORT_SIZE)[:] = [port.feedback for port in self._ports]
+        self._turned, self._alone = turned, alone
         self._keeps_ports = turned is not None
         #: Take the set points and step; a compiled stage where the ports are not read meanwhile.
         self.step: Callable[[], object] = self._step_of(step_s)
@@ -53,33 +51,20 @@ class Motors:
             step = turned.steps_in_modes(self._asked, step_s, self._shown)
             if step is not None:
                 self._keeps_ports = False
-                return partial(self._step_and_show, step) if self._shows_ports else step
+                return step
         return partial(self._step_by_ports, step_s)
-
-    def _step_and_show(self, step: Callable[[], object]) -> None:
-        step()
-        self._give_ports()
 
     def _step_by_ports(self, step_s: float) -> None:
         assert self._turned is not None, "somebody else's"
         for port, set_point in zip(self._ports, self._asked.tolist(), strict=True):
             port.setpoint = set_point
         self._turned.step(step_s)
-        self._shown[:] = self._of_ports()
-
-    def _of_ports(self) -> list[float]:
-        values: list[float] = []
-        for port in self._ports:
-            values += (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
-        return values
+        self._shown.reshape(-1, lay.PORT_SIZE)[:] = [port.feedback for port in self._ports]
 
     def _give_ports(self) -> None:
-        values = self._shown.tolist()
-        for at, (port, set_point) in enumerate(zip(self._ports, self._asked.tolist(), strict=True)):
-            port.setpoint = set_point
-            shown = values[lay.PORT_SIZE * at : lay.PORT_SIZE * (at + 1)]
-            port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, limited = shown
-            port.torque_limited = limited != 0.0
+        shown = self._shown.reshape(-1, lay.PORT_SIZE).tolist()
+        for port, set_point, of_port in zip(self._ports, self._asked.tolist(), shown, strict=True):
+            port.setpoint, port.feedback = set_point, of_port
 
     def publish_by_objects(self) -> None:
         """Hand the drives back to their objects: one can't continue as it was."""

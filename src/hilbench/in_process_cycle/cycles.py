@@ -95,7 +95,7 @@ class _Run(BenchFastCycle):
         self._drives, self._asked = np.array(rows, lay.DRIVE), np.zeros(len(rows))
         self._shown = np.zeros(lay.PORT_SIZE * len(rows))
         wiring.slots.side = 1
-        self._machine = TwinInArrays(here.machine, wiring.hosts[1], wiring.slots)
+        self._machine = TwinInArrays(here.machine, wiring.slots)
         more = {"drives": self._drives, "asked": self._asked, "shown": self._shown, "seen": wiring.received}
         super().__init__(wiring, tap, **more)
         self._ticked = 0
@@ -118,7 +118,6 @@ class _Run(BenchFastCycle):
             step_s,
             self._wiring.slots.cells[0],
             alone=count == len(here.rig.ports),
-            shows_ports=False,
         )
         self._machine.join(
             self._drives[count:],

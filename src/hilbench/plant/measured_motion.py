@@ -55,7 +55,7 @@ def elapsed_s(m: Record, travels: Vector, positions: Vector, speeds: Vector, lat
     if m.own != 0.0:
         own, elapsed = record_in(travels, 0, OWN), 0.0
         if late:
-            sample_coherence.miss_own(travels)
+            own.since, own.behind = own.since + 1.0, own.behind + 1.0
         elif own_travels(travels, positions):
             elapsed = own.elapsed
         m.behind = own.behind

@@ -9,6 +9,7 @@ quantity and moves it from there to the set point. A ramp ends on its set point 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from math import inf
@@ -41,3 +42,13 @@ class MotorPort:
     velocity_rad_s: float = 0.0
     torque_Nm: float = 0.0
     torque_limited: bool = False  #: the torque limit was reached since the last advance
+
+    @property
+    def feedback(self) -> tuple[float, float, float, float, bool]:
+        """What the plant has written: position, velocity, torque, reference, whether the torque was limited."""
+        return self.position_rad, self.velocity_rad_s, self.torque_Nm, self.reference, self.torque_limited
+
+    @feedback.setter
+    def feedback(self, shown: Sequence[float]) -> None:
+        self.position_rad, self.velocity_rad_s, self.torque_Nm, self.reference, limited = shown
+        self.torque_limited = limited != 0.0

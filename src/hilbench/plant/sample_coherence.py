@@ -7,7 +7,6 @@ by a cycle's travel, which is many times the web's elongation: 6 mm against 0.3 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from struct import pack_into
 from typing import Final
 
 import numpy as np
@@ -144,19 +143,12 @@ def own_travels_state(axes: int, play: float) -> Vector:
     return state
 
 
-@compiled
-def miss_own(state: Vector) -> None:
-    """Count a cycle without positions of its own."""
-    own = record_in(state, 0, OWN)
-    own.since += 1.0
-    own.behind += 1.0
-
-
 @entry_point(VECTOR, VECTOR, allocates=False)
 def own_travels(state: Vector, positions: Vector) -> bool:
     """True if positions (N,) are of one instant; see `OwnIncrements`."""
-    miss_own(state)
     own, n = record_in(state, 0, OWN), len(positions)
+    own.since += 1.0
+    own.behind += 1.0
     last, usual = state[_OF_AXES : _OF_AXES + n], state[_OF_AXES + n : _OF_AXES + 2 * n]
     travels, plays = state[_OF_AXES + 2 * n : _OF_AXES + 3 * n], state[_OF_AXES + 3 * n :]
     if own.has_positions == 0.0:
@@ -202,7 +194,7 @@ class SampleCoherence:
 
     def __init__(self, least_travel: float) -> None:
         self._least_travel = least_travel
-        self._format, self._state, self._positions = "", coherence_state(0), np.zeros(0)
+        self._state, self._positions = coherence_state(0), np.zeros(0)
 
     @property
     def unpaired(self) -> int:
@@ -221,14 +213,13 @@ class SampleCoherence:
     def vectors(self, rollers: int) -> tuple[Vector, Vector]:
         """State of `coherent` for so many rollers, and their positions (N,): for compiled callers."""
         if rollers != len(self._positions):
-            self._format = f"={rollers}d"
             self._state, self._positions = coherence_state(rollers), np.zeros(rollers)
         return self._state, self._positions
 
     def update(self, *positions_m: float) -> bool:
         """True if this cycle's positions of all rollers, in m at the web, are of one instant."""
         self.vectors(len(positions_m))
-        pack_into(self._format, self._positions.data, 0, *positions_m)
+        self._positions[:] = positions_m
         return coherent(self._state, self._positions, self._least_travel)
 
 
@@ -268,6 +259,10 @@ class OwnIncrements:
         """Create the check; `of_a_cycle`: largest change of a travel, see `play`."""
         self._state, self._positions = own_travels_state(axes, of_a_cycle), np.zeros(axes)
 
+    def vectors(self, axes: int) -> tuple[Vector, Vector]:
+        """State of `own_travels` and positions (N,), for compiled callers."""
+        return self._state, self._positions
+
     def reset(self) -> None:
         """Accept the next positions unchecked."""
         forget_own_travels(self._state)
@@ -284,7 +279,8 @@ class OwnIncrements:
 
     def miss(self) -> None:
         """Count a cycle without positions of its own."""
-        miss_own(self._state)
+        own = record_at(self._state, OWN)
+        own.since, own.behind = own.since + 1.0, own.behind + 1.0
 
     def update(self, *positions: float) -> bool:
         """True if this cycle's positions of all axes, in the machine's unit, are of one instant."""

@@ -21,9 +21,9 @@ class TwinFastCycle:
 
     def __init__(self, answers: SyncAnswers, application: TwinApplication) -> None:
         """Raises FastPathRefusedError where the fast path is not possible, as for axes with the same COB-ID."""
-        self._answers, self._listeners = answers, application.listeners
+        self._answers, self._application, self._listeners = answers, application, application.listeners
         self._awaits = False  # SYNC is answered, the axes have to
-        self._machine = TwinInArrays(application, answers.host, answers.slots)
+        self._machine = TwinInArrays(application, answers.slots)
         received = []
         for listener in self._listeners:
             taken = new_slots(answers.slots, listener.pdo)
@@ -58,7 +58,7 @@ class TwinFastCycle:
 
     def _go_on(self) -> None:
         """Run the machine by the axes' answers."""
-        self._machine.go_on()
+        self._application.go_on_in_vectors()
         if kernel.publish(0, self._answers.table) != CONTINUE:
             self._machine.publish_by_objects()
         self._awaits = False
@@ -66,7 +66,7 @@ class TwinFastCycle:
     def end(self) -> None:
         """Leave the fast path, see `fast_path.host.PacketRun`."""
         if not self._answers.cycles:
-            self._machine.leave()
+            self._application.forget_vectors()
             return
         self._machine.give(awaits=self._awaits)
         self._answers.give()

@@ -202,9 +202,7 @@ class ModelSwitcher:
             self._go_over(candidate)
         if self.in_use is not self._configured:
             for shown, port in zip(self.ports, self.in_use.ports, strict=True):
-                shown.reference, shown.torque_limited = port.reference, port.torque_limited
-                shown.position_rad, shown.velocity_rad_s = port.position_rad, port.velocity_rad_s
-                shown.torque_Nm = port.torque_Nm
+                shown.feedback = port.feedback
 
     def use_method(self, number: int) -> None:
         """Switch to another method from the present estimate."""

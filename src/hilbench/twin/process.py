@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from hilbench.can.frame import Frame
 from hilbench.can.open import BusAddress
@@ -16,9 +17,8 @@ from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.identifiers import NmtState
 from hilbench.cia402.simulated import SimulatedDrive
-from hilbench.cycle_program import CompiledStage
+from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.machine_kinds import machine_part
-from hilbench.plant.interface import Steps
 from hilbench.plant.motor_port import MotorMode
 from hilbench.processes import log
 from hilbench.real_time import ProcessSettings, right_behind
@@ -30,7 +30,7 @@ from hilbench.twin.bus_clock import BusClock
 from hilbench.twin.cycle_count_from_position import CycleCountFromPosition
 from hilbench.twin.estimated_errors import as_text
 from hilbench.twin.machines.kinds import boundary, new_machine, warm_up
-from hilbench.twin.machines.machine import LOOK, MISSED, InVectors, MachineVectors, Measured, VectorMachine
+from hilbench.twin.machines.machine import LOOK, MISSED, WENT_ON, InVectors, MachineVectors, Measured, VectorMachine
 from hilbench.twin.model_switch import Make, ModelSwitcher, PendingModel, with_effects
 from hilbench.twin.reports import Reports
 from hilbench.twin.virtual_io import VirtualIo
@@ -40,6 +40,8 @@ _VALUE_TOO_HIGH, _INVALID_VALUE, _PRESENT_STATE = 0x06090031, 0x06090030, 0x0800
 _MOST_OWED = 100
 #: Missed SYNCs in a row that the simulation catches up; after more the plant has to be found anew.
 _MOST_SKIPPED = 100
+#: Cycles after which it is checked anew whether the machine can be in vectors.
+_LOOK_FOR_VECTORS = 64
 #: Interval of checkpoints, to be restored should the SYNC period turn out to be another one, s.
 _KEPT_S = 0.25
 #: Speed at the motor from which on an axis needs a set point before the machine is released; longest wait for that.
@@ -111,7 +113,6 @@ class TwinApplication:
         self._clock = None if in_lockstep else BusClock(setup.cycle_s, setup.clock.now_ns, device, report)
         self._skipped = 0  # elapsed cycles of the axes by the clock, less the received SYNCs
         self._travels = CycleCountFromPosition(setup.model, setup.cycle_s)
-        self._last_status = (0, 0, 0)  # at the last SYNC of the fast path
         self._in_vectors: InVectors | None = None
         self.leaves_vectors = False  #: the vectors' state has to go on in objects
         virtual_io.on_method(self._use_method)
@@ -238,29 +239,6 @@ class TwinApplication:
         """True if SYNCs are checked against the clock."""
         return self._clock is not None
 
-    @property
-    def turned(self) -> Steps:
-        """Simulation driven by the virtual axes' motors: the model itself, while no other is tried or in use."""
-        return self._machine.only_plant or self._machine
-
-    def begin_fast_path(self) -> tuple[int, int, int]:
-        """`before_sync` of a fast-path cycle, in which all answers come in time. Returns number, age and status of that
-        SYNC, which the objects get at `go_on`."""
-        self._behind = 0
-        self._last_status = (self._sync_number + 1) & 0xFFFF, 0, self._status()
-        return self._last_status
-
-    def go_on(self, measured: list[Measured], step: Callable[[], object]) -> None:
-        """Run the rest of a cycle after `begin_fast_path`, with the axes' (N,) measurements at SYNC. `step`: advances
-        virtual axes and machine, in place of their `sync` and `step`."""
-        self._sync_number += 1
-        self.io.publish_status(*self._last_status)
-        self._compare(measured)
-        self._machine.listen()
-        step()
-        self._time_s += self.cycle_s
-        self._publish()
-
     def awaits_measurements(self) -> None:
         """End the fast path in a cycle that awaits measurements: it goes on as the axes answer."""
         self.count_syncs()
@@ -268,28 +246,44 @@ class TwinApplication:
         self._measured = list(self._nothing)
         self._owed = [owed + 1 for owed in self._owed]
         self._pending = True
-        if self._in_vectors is None:
-            self.io.publish_status(*self._last_status)
-
-    @property
-    def runs_in_vectors(self) -> bool:
-        """True if the machine may run in vectors from now on."""
-        machine = self._machine.in_use
-        return self._machine.only_plant is not None and isinstance(machine, VectorMachine) and machine.runs_in_vectors
 
     def begin_in_vectors(self, vectors: MachineVectors) -> None:
         """Move the machine into these vectors until `end_in_vectors`; sets number and status of the next SYNC there."""
-        machine = self._machine.in_use
-        assert isinstance(machine, VectorMachine), "asked for before"
-        self._behind = 0
+        self._behind, self.leaves_vectors, self._vectors = 0, False, vectors
         vectors.whole[vectors.number], vectors.whole[vectors.status] = (self._sync_number + 1) & 0xFFFF, self._status()
-        self._in_vectors, self.leaves_vectors = machine.in_vectors(vectors, self._go_on_from), False
-        self._vectors = vectors
+        machine = self._as_vectors
+        self._in_vectors = _ByObjects(self) if machine is None else machine.in_vectors(vectors, self._go_on_from)
+
+    @property
+    def _as_vectors(self) -> VectorMachine | None:
+        """The machine, if it may run in vectors from now on."""
+        machine = self._machine.in_use
+        if self._machine.only_plant is None or not isinstance(machine, VectorMachine):
+            return None
+        return machine if machine.runs_in_vectors else None
+
+    def go_on_by_objects(self) -> int:
+        """Run a cycle of a machine that is not in its vectors; returns the status of the last SYNC."""
+        vectors, values = self._vectors, self._vectors.values
+        for name, cell in self.io.boundary_cells.items():
+            cell.value = values.item(vectors.boundary_places[name])
+        measured = vectors.measured.tolist()
+        self._compare(list(zip(measured[::4], measured[2::4], strict=True)))
+        self._machine.listen()
+        for port, set_point in zip(self._ports, vectors.asked.tolist(), strict=True):
+            port.setpoint = set_point
+        self._machine.step(self.cycle_s)
+        vectors.shown.reshape(len(self._ports), -1)[:] = [port.feedback for port in self._ports]
+        values[list(vectors.published)] = self._machine.published()
+        status, vectors.whole[vectors.status] = int(vectors.whole[vectors.status]), self._status()
+        vectors.whole[vectors.number] = (int(vectors.whole[vectors.number]) + 1) & 0xFFFF
+        if not self._sync_number % _LOOK_FOR_VECTORS:
+            self.leaves_vectors = self._as_vectors is not None
+        return status
 
     @property
     def in_vectors(self) -> CompiledStage | None:
-        """Compiled stage for `begin_fast_path` and `go_on`, possibly replaced after an interpreted part; None while
-        each cycle has one."""
+        """Compiled stage of a cycle, possibly replaced after an interpreted part; None while each cycle has one."""
         return self._in_vectors.piece if self._in_vectors is not None and self._reports.quiet else None
 
     def go_on_in_vectors(self) -> None:
@@ -304,25 +298,22 @@ class TwinApplication:
         """Run the interpreted rest of a cycle in vectors; True if the next ones may be fully compiled."""
         machine = self._in_vectors
         assert machine is not None, "begun"
-        self._count_syncs(-1 if machine.has_ended(code) else 0)
-        self._sync_number += 1
+        self.count_syncs()
         piece = machine.piece
         went = machine.go_on_from(code)
+        self.count_syncs()
         if went == LOOK or (went != MISSED and not self._reports.quiet):
             self._reports.update()
             self.leaves_vectors = self._machine.in_use.refused
-        self._time_s += self.cycle_s
         # Reports have to be sent before the next SYNC.
-        return went != LOOK and self._reports.quiet and not self.leaves_vectors and piece is machine.piece
+        steady = not self.device.outbox and self._reports.quiet and not self.leaves_vectors
+        return steady and went != LOOK and piece is machine.piece
 
     def count_syncs(self) -> None:
         """Count the cycles in vectors; call it at intervals, as their number has 16 bits."""
-        if self._in_vectors is not None:
-            self._count_syncs(0)
-
-    def _count_syncs(self, further: int) -> None:
-        vectors = self._vectors
-        syncs = (int(vectors.whole[vectors.number]) - 1 + further - self._sync_number) & 0xFFFF
+        if self._in_vectors is None:
+            return
+        syncs = (int(self._vectors.whole[self._vectors.number]) - 1 - self._sync_number) & 0xFFFF
         self._sync_number += syncs
         for _ in range(syncs):
             self._time_s += self.cycle_s
@@ -337,7 +328,7 @@ class TwinApplication:
         """Move the machine back to its objects."""
         if self._in_vectors is not None:
             if not self._pending:
-                self._count_syncs(0)
+                self.count_syncs()
             outputs, vectors = self._in_vectors.give(), self._vectors
             status = int(vectors.whole[vectors.status]) if self._pending else outputs
             self.io.publish_status(self._sync_number, 0, status)
@@ -446,6 +437,23 @@ class TwinApplication:
 
     def _publish(self) -> None:
         self.io.publish(self._machine.published())
+
+
+class _ByObjects:
+    """`InVectors` of a machine that stays objects, as while another model is tried."""
+
+    def __init__(self, application: TwinApplication) -> None:
+        self._application, self._status = application, 0
+        self.piece = python_stage(partial(application._go_on_from, 0))
+
+    def go_on_from(self, code: int) -> int:
+        """Run the cycle."""
+        self._status = self._application.go_on_by_objects()
+        return WENT_ON
+
+    def give(self) -> int:
+        """Return the status of the last SYNC."""
+        return self._status
 
 
 def _beside(process: ProcessSettings) -> Callable[[Make], PendingModel]:

@@ -16,7 +16,7 @@ from hilbench.fast_path.host_cycle import SyncAnswers
 from hilbench.processes import log, started_by_bench, stop_request
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.fast_path_run import TwinFastCycle
-from hilbench.twin.machines.kinds import warm_up, warm_up_in_vectors
+from hilbench.twin.machines.kinds import warm_up
 from hilbench.twin.process import TwinApplication, TwinSetup, twin
 from hilbench.twin.setup import twin_setup
 
@@ -37,11 +37,9 @@ def run(config: BenchConfig) -> int | None:
 
 def load(config: BenchConfig) -> None:
     """Compile, or load, the functions of the twin of a bench on the embedded bus."""
-    of_machine = config.machine, config.twin, config.shape, config.cycle_time_s
-    warm_up(*of_machine)
+    warm_up(config.machine, config.twin, config.shape, config.cycle_time_s)
     if config.pace == "lockstep":
         warm_up_packets()
-        warm_up_in_vectors(*of_machine)
 
 
 def fast_path_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: TwinSetup) -> FastPathHost | None:
@@ -51,7 +49,6 @@ def fast_path_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: T
         return None
     assert isinstance(application, TwinApplication), "as `twin` makes it"
     drives = application.drives
-    warm_up_in_vectors(setup.model, setup.twin, setup.shape, setup.cycle_s)
 
     def begin(expected: Sequence[Frame]) -> PacketRun:
         cycle_ns = round(application.cycle_s * 1e9)

@@ -26,7 +26,6 @@ from hilbench.hardware.simulation import RigApplication, hardware, warm_up_in_mo
 from hilbench.in_process_cycle.cycles import FastPathCycles
 from hilbench.in_process_cycle.wiring import InOneProcess, Served
 from hilbench.topology.config import BenchConfig
-from hilbench.twin.machines.kinds import warm_up_in_vectors
 from hilbench.twin.process import TwinApplication, twin
 from hilbench.twin.setup import twin_setup
 
@@ -44,9 +43,7 @@ class InProcess:
         FastPathCycles.warm_up()
         warm_up_in_modes(config)
         by_sync = config.model_copy(update={"pace": "lockstep"})
-        setup = twin_setup(by_sync)
-        warm_up_in_vectors(setup.model, setup.twin, setup.shape, setup.cycle_s)
-        self._hosted = hardware(by_sync), twin(setup)
+        self._hosted = hardware(by_sync), twin(twin_setup(by_sync))
         self._links = [self.bus.open_link() for _ in self._hosted]
         self._own_hosts = [DeviceHost(link, *hosted) for link, hosted in zip(self._links, self._hosted, strict=True)]
         self._hosts = list(self._own_hosts)

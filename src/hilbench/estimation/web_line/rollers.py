@@ -46,15 +46,6 @@ def take(r: RollerArrays, x_m: Vector, torques_Nm: Vector, duration_s: float) ->
 
 
 @compiled
-def force_behind_N(r: RollerArrays, axis: int) -> float:
-    """Force at the web of the motors after that of `axis`, from 2, less their rollers' resistance."""
-    total_N = 0.0
-    for j in range(axis - 1, len(r.forces_N)):
-        total_N += r.forces_N[j]
-    return total_N
-
-
-@compiled
 def centre_m(r: RollerArrays, axis: int) -> float:
     """Position of the centre of mass of the roller of `axis`, from 2, and all after it, at the web."""
     moments, total_kg = 0.0, 0.0

@@ -183,7 +183,8 @@ def _compare(v: SpanEstimatorArrays, measured: tuple[float, ...]) -> int:
 @compiled
 def _see_no_change_across(v: SpanEstimatorArrays) -> None:
     """Restart the change detectors: no change is detected across this instant."""
-    block_means.begin_behind_gap(v.blocks)
+    block_means.begin(v.blocks)
+    v.blocks.after_gap = 1.0  # the next cycle counts in its duration alone, as it is not comparable with this
     anomalies.suspend(v.anomalies)
 
 
@@ -342,8 +343,7 @@ def _forget(v: SpanEstimatorArrays, what: int) -> None:
         return
     torque_shift.reset(v.shift)
     if what == SUSPEND:
-        block_means.begin_behind_gap(v.blocks)
-        anomalies.suspend(v.anomalies)
+        _see_no_change_across(v)
     else:
         block_means.begin(v.blocks)
         anomalies.reset(v.anomalies)

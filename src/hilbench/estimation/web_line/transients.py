@@ -8,15 +8,14 @@ faster, orthogonal to other changes at the same instant: a constant load step at
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, sqrt
-from typing import Final
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, VECTOR, entry_point
+from hilbench.compiled import Reals, Reals2, compiled, record_type, rows_of
 from hilbench.estimation.assumptions import CERTAIN
 
 Vector = NDArray[np.float64]
@@ -45,47 +44,73 @@ class Transient:
     sure: bool
 
 
-@entry_point(MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, VECTOR)
-def _take(
-    values: Vector, torques: Vector, variances: Vector, transients: Vector, energies: Vector, products: Vector,
-    sizes: Vector,
-) -> None:  # fmt: skip
-    """Shift a sample (m,) into `values` (cycles, m); correlate each transient (n, m·cycles), with `energies` (n, m),
-    with them: `products` (n,) and `sizes` (n,), weighted by the variances (m,)."""
+#: State of a detector: samples, best gain and samples since, whether there is a transient of it.
+DETECTOR: Final = record_type("filled", "best", "since", "found")
+
+
+class TransientArrays(NamedTuple):
+    """Of a detector: the last samples (cycles, m); transients (n, m·cycles), with energies (n, m); their correlations
+    with the samples and their sizes (n,), weighted by variances."""
+
+    state: Annotated[Any, DETECTOR]
+    values: Reals2
+    transients: Reals2
+    energies: Reals2
+    products: Reals
+    sizes: Reals
+
+
+ROWS: Final = rows_of(TransientArrays)
+
+
+@compiled
+def take(d: TransientArrays, torques: Vector, variances: Vector) -> bool:
+    """Take torque residuals (m,) to the simulated line, with their noise variances; True if `TransientDetector.decide`
+    may have something to do."""
+    s, values, best = d.state, d.values, 0.0
     cycles, m = values.shape
     for c in range(cycles - 1):
         for j in range(m):
             values[c, j] = values[c + 1, j]
     for j in range(m):
         values[cycles - 1, j] = torques[j]
-    for i in range(len(products)):
-        products[i] = sizes[i] = 0.0
+    s.filled += 1.0
+    if s.filled < cycles:
+        return False
+    for i in range(len(d.products)):
+        d.products[i] = d.sizes[i] = 0.0
         for j in range(m):
             product = 0.0
             for c in range(cycles):
-                product += transients[i, j * cycles + c] * values[c, j]
-            products[i] += product / variances[j]
-            sizes[i] += energies[i, j] / variances[j]
+                product += d.transients[i, j * cycles + c] * values[c, j]
+            d.products[i] += product / variances[j]
+            d.sizes[i] += d.energies[i, j] / variances[j]
+        best = max(best, d.products[i] * d.products[i] / d.sizes[i])
+    s.since += 1.0
+    is_due = s.since >= (_DECIDED * (cycles - BEFORE) if s.found != 0.0 else cycles)
+    return bool(best > max(s.best, CERTAIN**2) or (is_due and s.best != 0.0))
 
 
 class TransientDetector:
     """Matched filter. `transients` (n, M, m): response of each of m torques in M cycles from a step of E on, over its
-    size; `shares` (n,): these sizes; `loads` (M, m): response to a load step at its own roller."""
+    size; `loads` (M, m): response to a load step at its own roller."""
 
-    def __init__(self, transients: Vector, shares: Sequence[float], loads: Vector) -> None:
+    def __init__(self, transients: Vector, loads: Vector) -> None:
         count, cycles, torques = transients.shape
         self._cycles = BEFORE + cycles
-        self._shares = np.array(shares)
         whole = np.concatenate([np.zeros((count, BEFORE, torques)), transients], axis=1)
         stepped = np.concatenate([np.zeros((BEFORE, torques)), loads])
         self._bases = [np.linalg.qr(np.stack([np.ones(self._cycles), each], axis=1))[0] for each in stepped.T]
         # Part of each transient orthogonal to offset and load step, (m, n, cycles).
         of_torques = np.stack([self._left(whole[:, :, at], at) for at in range(torques)])
-        #: The same flattened, (n, m·cycles), and their energies (n, m).
-        self._transients = np.ascontiguousarray(of_torques.transpose(1, 0, 2)).reshape(count, -1)
-        self._energies = np.ascontiguousarray(np.sum(of_torques**2, axis=2).T)
-        self._products, self._sizes = np.zeros(count), np.zeros(count)
-        self.reset()
+        self.arrays = TransientArrays(
+            np.zeros(1, DETECTOR),
+            np.zeros((self._cycles, torques)),
+            np.ascontiguousarray(of_torques.transpose(1, 0, 2)).reshape(count, -1),
+            np.ascontiguousarray(np.sum(of_torques**2, axis=2).T),
+            *(np.zeros(count), np.zeros(count)),
+        )
+        self._found: Transient | None = None
 
     def _left(self, values: Vector, torque: int) -> Vector:
         """Residual of values (…, cycles) after an offset and a load step."""
@@ -95,38 +120,37 @@ class TransientDetector:
 
     def reset(self) -> None:
         """Forget all samples."""
-        self._values = np.zeros((self._cycles, len(self._bases)))
-        self._filled, self._best, self._since = 0, 0.0, 0
-        self._found: Transient | None = None
+        self.arrays.values[:] = 0.0
+        self.arrays.state[:] = 0.0
+        self._found = None
 
-    def take(self, torques_Nm: Vector, variances: Vector) -> Transient | None:
-        """Take torque residuals (m,) to the simulated line, with their noise variances; returns a transient once it is
+    def decide(self, variances: Vector) -> Transient | None:
+        """Decide on the torque residuals taken last, with their noise variances (m,); returns a transient once it is
         decided."""
-        self._filled += 1
-        _take(self._values, torques_Nm, variances, self._transients, self._energies, self._products, self._sizes)
-        if self._filled < self._cycles:
+        s, products, sizes = self.arrays.state[0], self.arrays.products, self.arrays.sizes
+        if s["filled"] < self._cycles:
             return None
-        products, sizes, weights = self._products, self._sizes, 1.0 / variances
         gains = products**2 / sizes
         at = int(np.argmax(gains))
-        self._since += 1
-        if gains[at] > max(self._best, CERTAIN**2):
+        if gains[at] > max(s["best"], CERTAIN**2):
             share = float(products[at] / sizes[at])
-            self._best, self._since = float(gains[at]), 0
+            s["best"], s["since"] = gains[at], 0.0
             deviation = hypot(1.0 / sqrt(float(sizes[at])), _OF_MODEL * share)
             sure = bool(gains[at] > _STANDS_OUT**2)
-            self._found = Transient(share, deviation, 0, sure) if self._fits(float(gains[at]), weights) else None
-        if self._best and self._found is None and self._since >= self._cycles:
-            self._best = 0.0
-        if self._found is None or self._since < _DECIDED * (self._cycles - BEFORE):
+            fits = self._fits(float(gains[at]), 1.0 / variances)
+            self._found = Transient(share, deviation, 0, sure) if fits else None
+            s["found"] = fits
+        if s["best"] and self._found is None and s["since"] >= self._cycles:
+            s["best"] = 0.0
+        if self._found is None or s["since"] < _DECIDED * (self._cycles - BEFORE):
             return None
-        found, since = self._found, self._since
+        found, since = self._found, int(s["since"])
         self.reset()
         return Transient(found.share, found.deviation, self._cycles - BEFORE + since, found.sure)
 
     def _fits(self, gain: float, weights: Vector) -> bool:
         """True if the transient explains most of the signal."""
-        left = [self._left(values, torque) for torque, values in enumerate(self._values.T)]
+        left = [self._left(values, torque) for torque, values in enumerate(self.arrays.values.T)]
         rest = sum(weight * float(each @ each) for weight, each in zip(weights.tolist(), left, strict=True)) - gain
         expected = len(weights) * self._cycles
         return bool(rest - expected < _LEFT_SHARE * gain + _LEFT_NOISE * sqrt(2.0 * expected))

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import CUBE, FLAG, MATRIX, Vector, entry_point
+from hilbench.compiled import CUBE, FLAG, MATRIX, Reals2, Reals3, Vector, entry_point
 
 
-@entry_point(CUBE, CUBE, MATRIX, MATRIX, MATRIX, MATRIX, FLAG)
-def _answer(
-    states: Vector, transition: Vector, inputs: Vector, gains: Vector, loads: Vector, torques: Vector, continues: bool
+class ResponseArrays(NamedTuple):
+    """Speed and its integral of each drive by each load (N, 2, L), what is left of them and added by a load in a cycle,
+    gains (N, 2), and torques (N, L)."""
+
+    states: Reals3
+    transition: Reals3
+    inputs: Reals2
+    gains: Reals2
+    torques: Reals2
+
+
+@entry_point(CUBE, CUBE, MATRIX, MATRIX, MATRIX, MATRIX, FLAG, allocates=False)
+def answer(
+    states: Vector, transition: Vector, inputs: Vector, gains: Vector, torques: Vector, loads: Vector, continues: bool
 ) -> None:
     """Torques (N, L); `continues`: after a cycle with these loads (N, L)."""
     for i in range(states.shape[0]):
@@ -32,34 +44,30 @@ class DriveResponse:
 
     def __init__(self, kp: Sequence[float], ki: Sequence[float], loads: int, cycle_s: float) -> None:
         self._gains = np.array([kp, ki]).T.copy()
-        self._cycle_s = cycle_s
-        self._states = np.zeros((len(kp), 2, loads))  # speed, and its integral, of each drive by each load
+        self.cycle_s = cycle_s
+        self._states = np.zeros((len(kp), 2, loads))
         self._transition, self._input = np.zeros((len(kp), 2, 2)), np.zeros((len(kp), 2))
         self._none = np.zeros((len(kp), loads))
         #: Torque of each drive by each load (N, loads).
         self.torques_Nm = np.zeros((len(kp), loads))
+        self.arrays = ResponseArrays(self._states, self._transition, self._input, self._gains, self.torques_Nm)
 
     def reset(self) -> None:
         """Reset to rest without load."""
         self._states[:] = self.torques_Nm[:] = 0.0
 
-    def go_on_from(self, other: DriveResponse) -> None:
-        """Copy the state of a response of the same drives and loads."""
-        self._states[:] = other._states
-        self._show()
-
     def set_inertia(self, inertia_kg_m2: Vector) -> None:
         """Set the inertia of each drive with its load, at the motor (N,). Trapezoidal rule, stable for every loop."""
         half = np.zeros_like(self._transition)
-        half[:, 0] = -0.5 * self._cycle_s * self._gains / inertia_kg_m2[:, None]
-        half[:, 1, 0] = 0.5 * self._cycle_s
+        half[:, 0] = -0.5 * self.cycle_s * self._gains / inertia_kg_m2[:, None]
+        half[:, 1, 0] = 0.5 * self.cycle_s
         back = np.linalg.inv(np.eye(2) - half)
         self._transition[:] = back @ (np.eye(2) + half)
-        self._input[:] = back[:, :, 0] * (self._cycle_s / inertia_kg_m2)[:, None]
+        self._input[:] = back[:, :, 0] * (self.cycle_s / inertia_kg_m2)[:, None]
 
     def step(self, loads_Nm: Vector) -> None:
         """Step a cycle with these loads (N, loads), forward."""
-        _answer(self._states, self._transition, self._input, self._gains, loads_Nm, self.torques_Nm, True)
+        answer(*self.arrays, loads_Nm, True)
 
     def add(self, load: int, shares: Vector) -> None:
         """Add shares of the responses to all previous loads to that of `load`."""
@@ -83,4 +91,4 @@ class DriveResponse:
         self._show()
 
     def _show(self) -> None:
-        _answer(self._states, self._transition, self._input, self._gains, self._none, self.torques_Nm, False)
+        answer(*self.arrays, self._none, False)

@@ -21,6 +21,7 @@ from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import (
     KIND,
+    YOUNGS_MODULUS,
     CarriagePush,
     FurtherState,
     SimulatedLine,
@@ -75,6 +76,11 @@ class Line(SimulatedLine):
         layout = self._layout
         places = layout.first_span + lay.SP_SIZE * np.arange(layout.spans, dtype=float)
         return np.asarray(places + lay.column(lay.SPAN, "modulus_Pa"))
+
+    @property
+    def moduli_Pa(self) -> Vector:
+        """View of E of each span (K,), without effects: a change acts at once, outputs follow with the next call."""
+        return self._moduli[YOUNGS_MODULUS.name]
 
     @property
     def further_places(self) -> list[int]:
@@ -210,7 +216,8 @@ def _forces(parameters: ModelParameters) -> dict[Quantity, CarriagePush]:
     for row, carriage in enumerate(parameters.carriages, rollers):
         station = carriage.station
         quantity = Quantity(force_input(station.name), "N", f"that pushes the carriage: {station.name}")
-        found[quantity] = CarriagePush(row, float(rows[row].force_N) - station.force_N)
+        place = lay.W_SIZE + row * lay.A_SIZE + lay.column(lay.AXIS, "force_N")
+        found[quantity] = CarriagePush(place, float(rows[row].force_N) - station.force_N)
     return found
 
 

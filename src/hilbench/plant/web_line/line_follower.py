@@ -64,21 +64,21 @@ class PerturbedCopies:
         self.ratios = np.ones(count)
         shared = line_kernel.Copies(self._x, self.offsets_m, self.tensions_N, self.motions, self.ratios)
         self._kept = shared, *(line.followed for line in lines)
-        self._table = table_of(self._kept)
+        self.table = table_of(self._kept)  #: of `line_kernel.follow`
 
     def follow(self, positions: Sequence[float] | Vector, duration_s: float) -> None:
         """Move the driven rollers to `positions` (N,), m, `duration_s` after the last call."""
         self._x[:] = positions
-        line_kernel.follow(duration_s, 0, len(self.offsets_m), self._table)
+        line_kernel.follow(duration_s, 0, len(self.offsets_m), self.table)
 
     def show(self) -> Self:
         """Update the outputs after changes of the lines."""
-        line_kernel.follow(0.0, 0, len(self.offsets_m), self._table)
+        line_kernel.follow(0.0, 0, len(self.offsets_m), self.table)
         return self
 
     def put(self) -> None:
         """Write `motions` back to the lines."""
-        line_kernel.follow(0.0, 1, len(self.offsets_m), self._table)
+        line_kernel.follow(0.0, 1, len(self.offsets_m), self.table)
 
 
 class StateTransfer:
@@ -91,7 +91,8 @@ class StateTransfer:
         places = [*follower.further_places, *rows, *(n + row for row in rows)]
         # Roller and motor turn together.
         at = [*places, *(2 * n + place for place in places), *range(4 * n, 4 * n + 2 * k)]
-        self._line, self._at, size = line, np.array(at), line._layout.y_size
+        self._line, size = line, line._layout.y_size
+        self.at = np.array(at)  #: of what is transferred, in the integrated quantities
         self._from, self._to = follower.motion, line._layout.y(line._state)
         copies = line_kernel.Copies(
             *(np.zeros(1), np.zeros((1, 0)), np.zeros((1, k)), np.zeros((1, size)), np.zeros(1))
@@ -104,7 +105,7 @@ class StateTransfer:
         """Transfer the present state."""
         (motion,) = self._kept[0].motions
         motion[:] = self._to
-        motion[self._at] = self._from[self._at]
+        motion[self.at] = self._from[self.at]
         line_kernel.follow(0.0, 1, 1, self._table)
         self._line.show()
 
@@ -311,10 +312,6 @@ class LineFollower(Line):
         value = super().parameter(name)
         self._tear(torn)
         return value
-
-    def put_modulus(self, span: int, modulus_Pa: float) -> None:
-        """Set E of a span, from 1, of a web that is not broken; outputs follow with the next call."""
-        self._p[int(self.moduli[span - 1])] = modulus_Pa
 
     def set_parameter(self, name: str, value: float) -> None:
         """Set a parameter from now on. Raises ValueError for an unknown name or an impossible value."""

@@ -1,4 +1,4 @@
-"""Transfer between motor ports and the kernel's vectors: set points in, feedback out."""
+"""Transfer between motor ports and the kernel's vectors: set points in."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from hilbench.compiled import Vector
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import DRIVE, Layout, column
-from hilbench.plant.web_line.rig_cycle import SHOWN
 
 
 def read_ports(
@@ -23,11 +22,3 @@ def read_ports(
         inputs[at : at + lay.UM_SIZE] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
     first = layout.first_drive + column(DRIVE, "limited")
     state[first : first + layout.motors * lay.DRIVE_SIZE : lay.DRIVE_SIZE] = 0.0
-
-
-def write_ports(ports: Sequence[MotorPort], shown: Sequence[float]) -> None:
-    """Write feedback to the ports, as of `rig_cycle.show`."""
-    for at, port in enumerate(ports):
-        of_port = shown[SHOWN * at : SHOWN * (at + 1)]
-        port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference = of_port[:-1]
-        port.torque_limited = of_port[-1] != 0.0

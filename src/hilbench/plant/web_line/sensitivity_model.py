@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from enum import StrEnum
-from math import nan, pi
+from math import pi
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,10 +29,10 @@ _LEAST_LEFT: Final = 0.05
 _DAMPING_S: Final = 1e-3
 
 
-class _Loads(NamedTuple):
-    """Tensions (F, K), radii over those at the start (N,), load per tension (N, K), perturbations (n,), errors (n,),
-    observability of unknowns by tensions (n, K), the axis, from 0, and the unknown of each reel, and the sensitivities
-    (N, n + 1)."""
+class SlopesArrays(NamedTuple):
+    """Sensitivities of the load at each motor (N, n + 1), by tensions (F, K), radii over those at the start (N,), load
+    per tension (N, K), perturbations and errors (n,), observability of unknowns by tensions (n, K), axis and unknown of
+    each reel, from 0."""
 
     tensions: Reals2
     ratios: Reals
@@ -44,10 +44,10 @@ class _Loads(NamedTuple):
     slopes: Reals2
 
 
-@entry_point(COUNT, TABLE)
-def _put_load_slopes(unused: int, table: NDArray[np.int64]) -> int:
-    """Update the load sensitivities."""
-    tensions, ratios, pulls, steps, errors, identifies, reels, slopes = arrays_in(table, _Loads)
+@entry_point(COUNT, TABLE, allocates=False)
+def put_load_slopes(unused: int, table: NDArray[np.int64]) -> int:
+    """Update the load sensitivities; see `SlopesArrays`."""
+    tensions, ratios, pulls, steps, errors, identifies, reels, slopes = arrays_in(table, SlopesArrays)
     for i in range(pulls.shape[0]):
         for c in range(len(steps)):
             pull = 0.0
@@ -117,14 +117,15 @@ class SensitivityModel:
         self.line = damped_follower(model)
         self._model = model
         self._followers = [self.line, *(damped_follower(model) for _ in self.unknowns)]
+        self._moduli_of_each = [follower.moduli_Pa for follower in self._followers]
         #: All of them, the line itself in the first row.
-        self._all = PerturbedCopies(self._followers)
-        self.motion_count = self._all.motions.shape[1]  #: number of integrated quantities
-        self._steps = np.array([unknown.step for unknown in self.unknowns])
-        self._axes, self._boundary = model.axis_count, (nan, nan)
+        self.copies = PerturbedCopies(self._followers)
+        self.steps = np.array([unknown.step for unknown in self.unknowns])
+        self._axes = model.axis_count
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
         self._rollers, carriages = len(model.line_rollers), model.carriages
         self._before, self._span_count = axes_before_spans(model), model.span_count
+        self._held = [self._before[each.first_span - 1] for each in carriages]  # axis before the section of a carriage
         #: Offsets of material lengths and span lengths in the integrated quantities.
         self._material = 4 * (self._rollers + len(carriages))
         self._lengths = self._material + self._span_count
@@ -146,17 +147,16 @@ class SensitivityModel:
         self._slopes = {each.number: _slope_per_m(model, each.number) for each in self._of(Kind.RADIUS)}
         self._moduli = np.array([model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1)])
         self._pulls = self._lever_arms()
-        self._errors = np.zeros(len(self.unknowns))  # of E and radii, as corrected so far
+        self.errors = np.zeros(len(self.unknowns))  #: of E and radii, as corrected so far
         #: Sensitivities of the web load at each motor, forward, N·m, to each unknown, and in the last column its excess
         #: over that with reels of the model's radius at their measured position (N, n + 1).
         self.load_slopes = np.zeros((self._axes, len(self.unknowns) + 1))
         radii = [(each.number - 1, place) for each, place in self.places.items() if each.kind is Kind.RADIUS]
         reels = np.array(radii, np.int64).reshape(-1, 2)
-        lines, identifies = self._all, self._identified_moduli()
-        self._kept = _Loads(
-            lines.tensions_N, lines.ratios, self._pulls, self._steps, self._errors, identifies, reels, self.load_slopes
-        )
-        self._slopes_table = table_of(self._kept)
+        lines, identifies = self.copies, self._identified_moduli()
+        of_slopes = lines.ratios, self._pulls, self.steps, self.errors, identifies, reels, self.load_slopes
+        self._kept = SlopesArrays(lines.tensions_N, *of_slopes)
+        self.slopes_table = table_of(self._kept)  #: of `put_load_slopes`
 
     def _of(self, kind: Kind) -> list[Unknown]:
         return [each for each in self.unknowns if each.kind is kind]
@@ -165,8 +165,7 @@ class SensitivityModel:
         """Observability of unknowns by tensions (n, K): where a carriage keeps them E of its web shows only in
         oscillations, whose initial state is unknown."""
         identifies = np.ones((len(self.unknowns), self._span_count))
-        for carriage in self._model.carriages:
-            axis = self._before[carriage.first_span - 1]
+        for axis in self._held:
             if axis in self._place_of_modulus:
                 identifies[self._place_of_modulus[axis], self._spans[axis]] = 0.0
         return identifies
@@ -187,10 +186,10 @@ class SensitivityModel:
     def reset(self, positions_m: Sequence[float], speed_m_s: float) -> None:
         """Restart at these positions with the model's state, uncorrected; rollers turn with the web at this speed."""
         turning = {f"v_{name}_m_s": speed_m_s for name in self._idlers}
-        self._errors[:] = 0.0
+        self.errors[:] = 0.0
         self._put_errors()
         for unknown, follower, offsets_m in zip(
-            (None, *self.unknowns), self._followers, self._all.offsets_m, strict=True
+            (None, *self.unknowns), self._followers, self.copies.offsets_m, strict=True
         ):
             follower.reset(np.asarray(positions_m) + offsets_m)
             driven = {f"v{axis}_m_s": speed_m_s / follower.radius_ratio(axis) for axis in range(1, self._axes + 1)}
@@ -202,48 +201,27 @@ class SensitivityModel:
             elif unknown is not None and unknown.kind is Kind.STRAIN:
                 strain = self.line.strain
                 follower.set_state({f"strain{k + 1}": strain[k] + unknown.step for k in self._spans[unknown.number]})
-        self._all.show()
-
-    def set_boundary(self, strain_prev: float, F_next_N: float) -> None:
-        """Set the boundary inputs from now on."""
-        if (strain_prev, F_next_N) != self._boundary:
-            self._boundary = (strain_prev, F_next_N)
-            for follower in self._followers:
-                follower.set_boundary(strain_prev, F_next_N)
-
-    def set_input(self, name: str, value: float) -> None:
-        """Set an input of the line from now on. Raises ValueError for an unknown name."""
-        for follower in self._followers:
-            follower.set_input(name, value)
-
-    def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
-        """Move the driven rollers to these positions, `duration_s` after the last call."""
-        self._all.follow(positions_m, duration_s)
+        self.copies.show()
 
     def _put_errors(self) -> None:
         """Apply corrected and perturbed E and radii to line and copies: a reel of another radius has turned on
         accordingly."""
+        moduli_Pa = np.tile(self._moduli, (len(self._followers), 1))
         for i, unknown in enumerate(self.unknowns):
             if unknown.kind is Kind.RADIUS:
-                of_each = self._error_of_each(i)
-                self._all.offsets_m[:, unknown.number - 1] = of_each / self._slopes[unknown.number]
+                self.copies.offsets_m[:, unknown.number - 1] = self._error_of_each(i) / self._slopes[unknown.number]
             elif unknown.kind is Kind.MODULUS:
-                of_each = self._error_of_each(i)
-                for follower, error in zip(self._followers, of_each.tolist(), strict=True):
-                    for k in self._spans[unknown.number]:
-                        follower.put_modulus(k + 1, self._moduli.item(k) * (1.0 + error))
+                moduli_Pa[:, self._spans[unknown.number]] *= 1.0 + self._error_of_each(i)[:, None]
+        for view, own_Pa in zip(self._moduli_of_each, moduli_Pa, strict=True):
+            view[:] = own_Pa
 
     def _error_of_each(self, place: int) -> Vector:
         """Error of an unknown in the line and the copies (F,), relative to the model."""
-        errors = np.full(1 + len(self.unknowns), self._errors[place])
-        errors[1 + place] += self._steps[place]
+        errors = np.full(1 + len(self.unknowns), self.errors[place])
+        errors[1 + place] += self.steps[place]
         return errors
 
     # -- values ------------------------------------------------------------------------------------------
-
-    def carriage_m(self, number: int) -> float:
-        """Position of a carriage, from 1."""
-        return self._all.motions.item(0, self.carriage_row(number))
 
     def carriage_row(self, number: int) -> int:
         """Index of a carriage's position in the integrated quantities."""
@@ -251,12 +229,12 @@ class SensitivityModel:
 
     def ratio(self, axis: int) -> float:
         """Radius of a reel over that at the start."""
-        return self._all.ratios.item(axis - 1)
+        return self.copies.ratios.item(axis - 1)
 
     @property
     def ratios(self) -> Vector:
         """Radii of all driven rollers (N,) over those at the start; 1 of those that are no reels."""
-        return self._all.ratios
+        return self.copies.ratios
 
     def slope_per_m(self, axis: int) -> float:
         """Change of a reel's radius over that at the start, per m of its motion."""
@@ -265,32 +243,26 @@ class SensitivityModel:
     def modulus_factor(self, axis: int) -> float:
         """Factor on E of the section after an axis."""
         place = self._place_of_modulus.get(axis)
-        return 1.0 + (0.0 if place is None else self._errors.item(place))
+        return 1.0 + (0.0 if place is None else self.errors.item(place))
 
     @property
     def tensions_N(self) -> Vector:
         """Tensions of the spans (K,), as of the last call."""
-        own: Vector = self._all.tensions_N[0]
+        own: Vector = self.copies.tensions_N[0]
         return own
 
     def refresh_load_slopes(self) -> None:
         """Update `load_slopes` to the present state."""
-        _put_load_slopes(0, self._slopes_table)
-
-    def shown(self, of_motions: Vector, of_tensions: Vector) -> tuple[Vector, Vector]:
-        """Sums (s,) of integrated quantities (s, `motion_count`) and of tensions (s, K), and their sensitivities to
-        each unknown (s, n)."""
-        seen = self._all.motions @ of_motions.T + self._all.tensions_N @ of_tensions.T
-        return seen[0], ((seen[1:] - seen[0]) / self._steps[:, None]).T
+        put_load_slopes(0, self.slopes_table)
 
     def _over_steps(self, seen: Vector) -> Vector:
         """Sensitivity of an output of line and copies (F,) to each unknown (n,)."""
-        slopes: Vector = (seen[1:] - seen[0]) / self._steps
+        slopes: Vector = (seen[1:] - seen[0]) / self.steps
         return slopes
 
     def length_m(self, axis: int) -> float:
         """Length of the section after an axis, including its carriages' strands."""
-        return float(sum(self._all.motions[0, self._lengths + k] for k in self._spans[axis]))
+        return float(sum(self.copies.motions[0, self._lengths + k] for k in self._spans[axis]))
 
     def longer_by(self, carriage: Unknown, axis: int) -> float:
         """Increase of the length of the section after an axis per travel of its carriage; 0 at a stop."""
@@ -306,22 +278,23 @@ class SensitivityModel:
 
     def correct(self, changes: Vector) -> None:
         """Correct the unknowns by `changes` (n,), as if they had been right from the start."""
-        motions = self._all.motions
+        motions = self.copies.motions
         differences = motions[1:] - motions[0]
-        strains = {c: self._slopes_seen(each) for c, each in enumerate(self.unknowns) if each.kind is Kind.STRAIN}
-        wanted = {c: self._seen(self.unknowns[c])[0] + slopes @ changes for c, slopes in strains.items()}
+        seen = {c: self._seen(each) for c, each in enumerate(self.unknowns) if each.kind is Kind.STRAIN}
+        strains = {c: self._over_steps(of_each) for c, of_each in seen.items()}
+        wanted = {c: seen[c][0] + slopes @ changes for c, slopes in strains.items()}
         for i, unknown in enumerate(self.unknowns):
             if unknown.kind in (Kind.RADIUS, Kind.MODULUS):
-                self._errors[i] += changes[i]
-        motions[0] += (changes / self._steps) @ differences
+                self.errors[i] += changes[i]
+        motions[0] += (changes / self.steps) @ differences
         # With another E the differences change: the tensions have to be right all the same.
         for c, slopes in strains.items():
             left = wanted[c] - self._seen(self.unknowns[c])[0]
             if slopes[c] > _LEAST_LEFT:
-                motions[0] += left / (slopes[c] * self._steps[c]) * differences[c]
+                motions[0] += left / (slopes[c] * self.steps[c]) * differences[c]
         motions[1:] = motions[0] + differences
         self._put_errors()
-        self._all.put()
+        self.copies.put()
         self._keep_within_stops()
 
     def rebook(self, changes: Vector) -> None:
@@ -330,25 +303,26 @@ class SensitivityModel:
         for i, unknown in enumerate(self.unknowns):
             if unknown.kind is not Kind.MODULUS or not changes[i]:
                 continue
-            self._errors[i] += changes[i]
+            self.errors[i] += changes[i]
             ratio = (1.0 + before[i]) / (1.0 + self._error_of_each(i))
             for k in self._spans[unknown.number]:
-                material, lengths = self._all.motions[:, self._material + k], self._all.motions[:, self._lengths + k]
+                motions = self.copies.motions
+                material, lengths = motions[:, self._material + k], motions[:, self._lengths + k]
                 material[:] = lengths / (1.0 + ratio * (lengths / material - 1.0))
         self._put_errors()
-        self._all.put()
+        self.copies.put()
 
     def _keep_within_stops(self) -> None:
         """Move carriages beyond a stop back to it."""
         beyond = False
         for row, name, lower_m, upper_m in self._stops:
             lowest_m, highest_m = -np.inf if lower_m is None else lower_m, np.inf if upper_m is None else upper_m
-            at_m = self._all.motions[:, row]
+            at_m = self.copies.motions[:, row]
             for line in np.flatnonzero((at_m < lowest_m) | (at_m > highest_m)).tolist():
                 back_m, beyond = min(max(at_m.item(line), lowest_m), highest_m), True
                 self._followers[line].set_state({f"x_{name}_m": back_m, f"v_{name}_m_s": 0.0})
         if beyond:
-            self._all.show()
+            self.copies.show()
 
     def renew(self) -> Vector:
         """Redefine carriages and strains as unknowns of now instead of the start, including the influence of other
@@ -356,7 +330,7 @@ class SensitivityModel:
 
         Returns the change of basis of the unknowns, (n, n): new = matrix @ old.
         """
-        turned, motions = np.eye(len(self.unknowns)), self._all.motions
+        turned, motions = np.eye(len(self.unknowns)), self.copies.motions
         motions[1:, self._turned] = motions[0, self._turned]
         for c, unknown in enumerate(self.unknowns):
             if unknown.kind not in (Kind.CARRIAGE, Kind.STRAIN):
@@ -366,13 +340,13 @@ class SensitivityModel:
             slopes = self._slopes_seen(unknown)
             if not slopes[c] > _LEAST_LEFT:  # a slack web, or a carriage at its stop
                 continue
-            own = (motions[1 + c] - motions[0]) / (slopes[c] * self._steps[c])
-            motions[1:] -= np.outer(slopes * self._steps, own)
-            motions[1 + c] = motions[0] + own * self._steps[c]
+            own = (motions[1 + c] - motions[0]) / (slopes[c] * self.steps[c])
+            motions[1:] -= np.outer(slopes * self.steps, own)
+            motions[1 + c] = motions[0] + own * self.steps[c]
             step = np.eye(len(self.unknowns))
             step[c] = slopes
             turned = step @ turned
-        self._all.put()
+        self.copies.put()
         return turned
 
     def web_changed(self) -> Vector:
@@ -381,15 +355,15 @@ class SensitivityModel:
         turned = np.eye(len(self.unknowns))
         for c, unknown in enumerate(self.unknowns):
             if unknown.kind is Kind.CARRIAGE:
-                axis = self._before[self._model.carriages[unknown.number - 1].first_span - 1]
+                axis = self._held[unknown.number - 1]
                 lengths_m, material_m = self._web_m(axis)
                 longer = self.longer_by(unknown, axis)
                 if axis in self._place_of_modulus and longer:
                     turned[c, self._place_of_modulus[axis]] = (material_m - lengths_m).item(0) / longer
             i = self._place_of_modulus.get(unknown.number)
             if unknown.kind is Kind.STRAIN and i is not None:
-                strain = self._seen(unknown)[0] / self.modulus_factor(unknown.number)
-                slopes = self._slopes_seen(unknown)
+                seen = self._seen(unknown)
+                strain, slopes = seen[0] / self.modulus_factor(unknown.number), self._over_steps(seen)
                 # The strain's part since the last `renew` already changes the tension with E.
                 turned[c, i] = (strain - slopes[i]) / slopes[c] if slopes[c] > _LEAST_LEFT else 0.0
         return turned
@@ -402,7 +376,7 @@ class SensitivityModel:
         """Carriage position of line and copies (F,), or a section's strain times relative E, which is its tension. The
         strain is by the amount of web, which never oscillates."""
         if unknown.kind is Kind.CARRIAGE:
-            return self._all.motions[:, self.carriage_row(unknown.number)]
+            return self.copies.motions[:, self.carriage_row(unknown.number)]
         length_m, material_m = self._web_m(unknown.number)
         place = self._place_of_modulus.get(unknown.number)
         factors = 1.0 if place is None else 1.0 + self._error_of_each(place)
@@ -411,9 +385,11 @@ class SensitivityModel:
 
     def _web_m(self, axis: int) -> tuple[Vector, Vector]:
         """Length of the section after an axis, and unstretched length of its web, for line and copies (F,)."""
-        motions, spans = self._all.motions, self._spans[axis]
-        material_m: Vector = motions[:, [self._material + k for k in spans]].sum(axis=1)
-        length_m: Vector = motions[:, [self._lengths + k for k in spans]].sum(axis=1)
+        motions, spans = self.copies.motions, self._spans[axis]
+        first, count = spans[0], len(spans)
+        length_m, material_m = (
+            np.add.reduce(motions[:, at + first : at + first + count], axis=1) for at in (self._lengths, self._material)
+        )
         return length_m, material_m
 
 

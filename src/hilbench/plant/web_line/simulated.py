@@ -29,7 +29,7 @@ from hilbench.plant.web_line import kernel, rig_cycle
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout
 from hilbench.plant.web_line.line_vectors import LineVectors
-from hilbench.plant.web_line.ports import read_ports, write_ports
+from hilbench.plant.web_line.ports import read_ports
 
 KIND = MachineKind.WEB_LINE
 YOUNGS_MODULUS = Quantity("youngs_modulus_Pa", "Pa", "Young's modulus E of the web, without the effects on it")
@@ -63,9 +63,9 @@ class FurtherState:
 
 @dataclass(frozen=True, slots=True)
 class CarriagePush:
-    """Input force of a carriage: the row of its axis, from 0, and the force added by an effect, N."""
+    """Input force of a carriage: its place in the parameters, and the force added by an effect, N."""
 
-    row: int
+    place: int
     more_N: float
 
 
@@ -323,7 +323,8 @@ class SimulatedLine:
         """Write the outputs `out` of changed vectors to the ports."""
         if self._ports:
             self._show()
-            write_ports(self._ports, self._shown.tolist())
+            for port, shown in zip(self._ports, self._shown.reshape(-1, rig_cycle.SHOWN).tolist(), strict=True):
+                port.feedback = shown
 
     def _refresh(self) -> None:
         kernel.observe(*self.vectors)
@@ -345,10 +346,7 @@ class SimulatedLine:
         torques = self._layout.motor_states(self._state).torque_Nm[list(self._motors)]
         values = [*(y[rows] * self._per_m), *(y[n:][rows] * self._per_m), *torques, *self._out[columns["strain"]]]
         values += [y[each.place] for each in self._further]
-        feedback = tuple(
-            (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
-            for port in self._ports
-        )
+        feedback = tuple(port.feedback for port in self._ports)
         return PlantState(
             values=dict(zip(self._places, map(float, values), strict=True)),
             memory=_Memory(self._state.tobytes(), feedback, deepcopy(self._noise)),
@@ -369,7 +367,7 @@ class SimulatedLine:
         self._state[:] = np.frombuffer(memory.state)
         self._refresh()
         for port, shown in zip(self._ports, memory.feedback, strict=True):
-            port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited = shown
+            port.feedback = shown
         self._noise = deepcopy(memory.noise)
         self._show = self._stage(0, self._shown, self._shown)
 
@@ -421,6 +419,10 @@ class SimulatedLine:
         """Present value of a parameter. Raises ValueError for an unknown name."""
         return self._parameters[checked_name("parameter", name, self._description.parameters)]
 
+    def push_of(self, name: str) -> CarriagePush:
+        """Where a force input enters, by its name."""
+        return self._forces[name]
+
     def set_input(self, name: str, value: float) -> None:
         """Set an input from now on. Raises ValueError for an unknown name."""
         checked_name("input", name, self._description.inputs)
@@ -430,7 +432,7 @@ class SimulatedLine:
             self._inputs[1] = value
         elif name in self._forces:
             push = self._forces[name]
-            self._layout.axis_rows(self._p)[push.row].force_N = value + push.more_N
+            self._p[push.place] = value + push.more_N
         else:
             span = [quantity.name for quantity in self._description.inputs].index(name) - 2
             self._layout.length_rates(self._inputs)[span] = value

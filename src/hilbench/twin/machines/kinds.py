@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from hilbench.compiled import load
 from hilbench.machine_kinds import machine_part
 from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.signals import Shape
@@ -29,16 +30,11 @@ def boundary(model: MachineParameters, shape: Shape) -> Mapping[str, float]:
 def warm_up(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float) -> None:
     """Compile (or load) the cycle's functions on scratch objects before the devices boot."""
     machine = new_machine(model, config, shape, cycle_s, boundary(model, shape).__getitem__)
+    if isinstance(machine, VectorMachine):
+        load(machine.compiled_cycle)
     axes = range(model.axis_count)
     for k in range(_WARM_UP_CYCLES):
         machine.compare(k * cycle_s, [(0.0, 0.1 + 0.01 * (k % 7)) for _ in axes])
         machine.listen()
         machine.plant.step(cycle_s)
         machine.published()
-
-
-def warm_up_in_vectors(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float) -> None:
-    """Compile (or load) the functions of a machine in vectors."""
-    machine = new_machine(model, config, shape, cycle_s, boundary(model, shape).__getitem__)
-    if isinstance(machine, VectorMachine):
-        machine.warm_up_in_vectors()

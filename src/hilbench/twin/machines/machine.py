@@ -114,6 +114,23 @@ class TwinMachine(Protocol):
         """Largest step of each output by a model switch, from one cycle to the next; inf, or absent: unlimited."""
 
 
+class OneMethod:
+    """`TwinMachine` with one method, whose estimates are signals: it finds no model errors and no torque shift."""
+
+    refused, torque_undecided = False, False
+    torque_shift_Nm, shift_span = 0.0, 0
+    largest_steps: Sequence[float] = ()
+
+    def found(self) -> Sequence[EstimatedModelError]:
+        """Empty: estimates are published as signals."""
+        return ()
+
+    def use_method(self, number: int) -> None:
+        """Raise ValueError for other than 0: there is no method to choose."""
+        if number:
+            raise ValueError(f"method {number}, expected 0: there is one method")
+
+
 #: Result of a cycle in vectors: continued; continued, with a possibly changed report; continued without measurement, as
 #: it was not coherent.
 WENT_ON, LOOK, MISSED = range(3)
@@ -148,9 +165,6 @@ class InVectors(Protocol):
         """Compiled stage of `compare`, `listen`, a plant step, `published`, and the status for the next SYNC; replaced
         when `go_on_from` changes its vectors."""
 
-    def has_ended(self, code: int) -> bool:
-        """True if the cycle was completed with this return code."""
-
     def go_on_from(self, code: int) -> int:
         """Run the rest of a cycle whose stage returned this code: WENT_ON, LOOK or MISSED."""
 
@@ -166,8 +180,9 @@ class VectorMachine(Protocol):
     def runs_in_vectors(self) -> bool:
         """True if it can do so in its present state."""
 
-    def warm_up_in_vectors(self) -> None:
-        """Compile, or load, the functions for that."""
+    @property
+    def compiled_cycle(self) -> Callable[..., int]:
+        """Entry point of its cycle, to be loaded in advance."""
 
     def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> InVectors:
         """Move the machine into vectors; its objects must not be used until `give`. `fallback`: of its stage."""

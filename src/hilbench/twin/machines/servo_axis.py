@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from hilbench.cycle_program import CompiledStage
 from hilbench.estimation.plausibility import Plausibility
 from hilbench.estimation.problems import PROBLEMS, Problem
 from hilbench.estimation.servo_axis.balance import ShaftSample
@@ -16,15 +17,15 @@ from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.fmu.shaft import FmuAxis
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import per_item
+from hilbench.plant.sensor_rows import silence
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.shaft import ServoAxis
+from hilbench.plant.web_line.rig_cycle import NoisyRig, RigArrays
 from hilbench.processes import log
 from hilbench.topology.blocks import TwinConfig
 from hilbench.topology.signals import Shape
-from hilbench.twin.estimated_errors import EstimatedModelError
 from hilbench.twin.machines import servo_axis_cycle as cycle
-from hilbench.twin.machines.machine import BoundaryInputs, MachineVectors, Measured
-from hilbench.twin.machines.servo_axis_cycle import ShaftInVectors
+from hilbench.twin.machines.machine import LOOK, WENT_ON, BoundaryInputs, MachineVectors, Measured, OneMethod
 
 #: Speed above which the plant counts as running when the twin joins.
 _MOVES_RAD_S = 0.02
@@ -41,12 +42,10 @@ def twin(
     return ServoAxisTwin(model, config, cycle_s, plant)
 
 
-class ServoAxisTwin:
+class ServoAxisTwin(OneMethod):
     """`TwinMachine` with one axis. The model gets the estimated inertia and friction in every cycle."""
 
-    refused = False
-    torque_shift_Nm = 0.0
-    torque_undecided = False
+    compiled_cycle = staticmethod(cycle.run)
 
     def __init__(self, model: ServoAxisParameters, config: TwinConfig, cycle_s: float, plant: ServoAxis) -> None:
         """`plant`: closed model of `model`, with one port."""
@@ -101,7 +100,6 @@ class ServoAxisTwin:
         self._set_cycle(self._cycle_s)
         initial = self._model.inertia_kg_m2 * self.plant.inertia_factor
         self._estimate = ShaftEstimate(initial, 0.01 * self._config.inertia.initial_deviation_pct * initial, False)
-        self.shift_span = 0
 
     def _set_cycle(self, cycle_s: float) -> None:
         self._cycle_s = cycle_s
@@ -175,42 +173,37 @@ class ServoAxisTwin:
         """True if `in_vectors` covers all of a cycle: not with a plant whose steps are other code."""
         return type(self.plant) is ServoAxis
 
-    def warm_up_in_vectors(self) -> None:
-        """Compile, or load, the functions for running in vectors."""
-        cycle.warm_up()
-
-    def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> ShaftInVectors:
-        """Runner in vectors; see `VectorMachine`."""
-        return ShaftInVectors(
+    def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> ServoAxisTwin:
+        """Go on in these vectors until `give`; see `VectorMachine`."""
+        plant, step = self.plant, self.plant.step_in_vectors(self._cycle_s)
+        known = 0.01 * self._config.synchronized_pct
+        rig = RigArrays(plant.vectors, step.motors, vectors.asked, step.sensors, vectors.shown)
+        shaft = cycle.ShaftArrays(
+            NoisyRig(rig, *silence(len(step.motors))),
+            np.array([(self._cycle_s, step.samples, known)], cycle.FIGURES),
+            *(self._outputs, vectors.measured, vectors.values, vectors.whole),
+            np.array([(vectors.number, vectors.status)], cycle.AT),
+            np.array(vectors.published, np.int64).view(cycle.PUBLISHED),
+            self._plausibility.state,
             self._estimator.arrays,
-            self._plausibility,
-            self.plant,
-            self._cycle_s,
-            0.01 * self._config.synchronized_pct,
-            self._outputs,
-            self._take_over,
-            vectors,
-            fallback,
         )
+        #: See `machine.InVectors`.
+        self.piece = CompiledStage(cycle.run, 0, shaft, continues=WENT_ON, fallback=fallback)
+        return self
 
-    def _take_over(self) -> None:
-        """Take over the estimate of the vectors."""
+    def go_on_from(self, code: int) -> int:
+        """Look at a problem that begins, lasts or ends; see `machine.InVectors`."""
+        if code == LOOK:
+            self._estimate = self._estimator.estimate
+        return code
+
+    def give(self) -> int:
+        """Write back to the objects; see `machine.InVectors`."""
         self._estimate = self._estimator.estimate
+        return int(self._shows["status"])
 
     def listen(self) -> None:
         """No-op: a shaft has no boundary inputs."""
-
-    def found(self) -> Sequence[EstimatedModelError]:
-        """Empty: no model errors are estimated."""
-        return ()
-
-    def use_method(self, number: int) -> None:
-        """Raise ValueError for other than 0: there is one method."""
-        if number:
-            raise ValueError(f"method {number}, expected 0: a servo axis has the configured one")
-
-    #: See `TwinMachine`.
-    largest_steps: Sequence[float] = ()
 
     def published(self) -> tuple[float, ...]:
         """Inertia, dry friction, deviation of the inertia, simulated torque, its residual; deviation of the dry

@@ -3,12 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import isnan, nan
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.compiled import (
     COUNT,
@@ -19,21 +17,16 @@ from hilbench.compiled import (
     arrays_in,
     compiled,
     entry_point,
-    load,
     record_type,
-    table_of,
 )
-from hilbench.cycle_program import CompiledStage
 from hilbench.estimation.bank import Places
-from hilbench.estimation.plausibility import PLAUSIBILITY, Plausibility, find_problem
+from hilbench.estimation.plausibility import PLAUSIBILITY, find_problem
 from hilbench.estimation.servo_axis import inertia
 from hilbench.estimation.servo_axis.inertia import InertiaArrays
-from hilbench.plant.sensor_rows import silence
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.shaft import ServoAxis
 from hilbench.plant.web_line import kernel, laws, records, rig_cycle
 from hilbench.plant.web_line.line_vectors import arrays
-from hilbench.twin.machines.machine import LOOK, WENT_ON, MachineVectors
+from hilbench.twin.machines.machine import LOOK, WENT_ON
 from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED
 
 #: Torque residual, simulated torque (NaN: none); the `Problem`; estimated dry and viscous friction; the status of the
@@ -42,10 +35,10 @@ OUTPUTS: Final = record_type(
     *("residual_Nm", "before_Nm", "problem", "coulomb_Nm", "viscous_Nm_s_per_rad", "status", "problem_before")
 )
 #: Cycle time, drive samples of a cycle, share of the inertia up to which its deviation counts as known.
-_FIGURES: Final = record_type("cycle_s", "samples", "known")
+FIGURES: Final = record_type("cycle_s", "samples", "known")
 #: Places in the integers of SYNC number and status; in the values of the outputs.
-_AT: Final = record_type("number", "status", of=np.int64)
-_PUBLISHED: Final = record_type(
+AT: Final = record_type("number", "status", of=np.int64)
+PUBLISHED: Final = record_type(
     *("inertia_kg_m2", "coulomb_Nm", "deviation_kg_m2", "torque_sim_Nm", "torque_residual_Nm", "coulomb_sd_Nm"),
     *("viscous_Nm_s_per_rad", "viscous_sd"),
     of=np.int64,
@@ -56,24 +49,24 @@ _MEAN, _POSITION, _TORQUE = 3, 0, 2
 _NUMBERS = 0x10000
 
 
-class _ShaftArrays(NamedTuple):
+class ShaftArrays(NamedTuple):
     """The simulated shaft, then the machine's own, and those of the estimator; `values`, `whole`, `measured`, `asked`
     and `shown` (of the rig) as of `MachineVectors`."""
 
     noisy: rig_cycle.NoisyRig
-    figures: Annotated[Any, _FIGURES]
+    figures: Annotated[Any, FIGURES]
     outputs: Annotated[Any, OUTPUTS]
     measured: Reals
     values: Reals
     whole: Wholes
-    at: Annotated[Any, _AT]
-    published: Annotated[Any, _PUBLISHED]
+    at: Annotated[Any, AT]
+    published: Annotated[Any, PUBLISHED]
     plausibility: Annotated[Any, PLAUSIBILITY]
     estimator: InertiaArrays
 
 
 @compiled
-def _simulate(a: _ShaftArrays, position_rad: float) -> None:
+def _simulate(a: ShaftArrays, position_rad: float) -> None:
     """Compiled `ServoAxisTwin._simulate`."""
     s, outputs, stated, priors = a.noisy.rig.line.s, a.outputs, a.estimator.stated, a.estimator.inputs.u.priors
     if priors[1] > 0.0:
@@ -91,7 +84,7 @@ def _simulate(a: _ShaftArrays, position_rad: float) -> None:
 
 
 @compiled
-def _publish(a: _ShaftArrays) -> None:
+def _publish(a: ShaftArrays) -> None:
     """Compiled `ServoAxisTwin.published`."""
     values, at, stated, outputs = a.values, a.published, a.estimator.stated, a.outputs
     values[at.inertia_kg_m2] = stated.inertia_kg_m2
@@ -118,8 +111,8 @@ def _status(stated: Record, problem: float, known: float) -> int:
 
 
 @entry_point(COUNT, TABLE)
-def _run(stage: int, table: Places) -> int:
-    a = arrays_in(table, _ShaftArrays)
+def run(stage: int, table: Places) -> int:
+    a = arrays_in(table, ShaftArrays)
     outputs, whole, at = a.outputs, a.whole, a.at
     position_rad, torque_Nm = a.measured[_POSITION], a.measured[_TORQUE]
     simulated_Nm = a.noisy.rig.shown[_TORQUE]
@@ -141,59 +134,3 @@ def _run(stage: int, table: Places) -> int:
     whole[at.status] = _status(a.estimator.stated, outputs.problem, a.figures.known)
     whole[at.number] = (whole[at.number] + 1) % _NUMBERS
     return WENT_ON if outputs.problem == 0.0 and outputs.problem_before == 0.0 else LOOK
-
-
-def warm_up() -> None:
-    """Compile, or load, the cycle in advance."""
-    load(_run)
-
-
-class ShaftInVectors:
-    """Runner of a `ServoAxisTwin` in vectors; see `machine.InVectors`.
-
-    `outputs`: of the twin, a record OUTPUTS (1,); `looks`: called at the end, and when a problem appears or ends.
-    """
-
-    def __init__(
-        self,
-        estimator: InertiaArrays,
-        of_torque: Plausibility,
-        plant: ServoAxis,
-        cycle_s: float,
-        known: float,
-        outputs: NDArray[np.void],
-        looks: Callable[[], None],
-        vectors: MachineVectors,
-        fallback: Callable[[int], bool],
-    ) -> None:
-        self._looks, self._outputs = looks, outputs
-        step = plant.step_in_vectors(cycle_s)
-        shaft = _ShaftArrays(
-            rig_cycle.NoisyRig(
-                rig_cycle.RigArrays(plant.vectors, step.motors, vectors.asked, step.sensors, vectors.shown),
-                *silence(len(step.motors)),
-            ),
-            np.array([(cycle_s, step.samples, known)], _FIGURES),
-            *(outputs, vectors.measured, vectors.values, vectors.whole),
-            np.array([(vectors.number, vectors.status)], _AT),
-            np.array(vectors.published, np.int64).view(_PUBLISHED),
-            of_torque.state,
-            estimator,
-        )
-        #: See `machine.InVectors`.
-        self.piece = CompiledStage(_run, 0, shaft, continues=WENT_ON, fallback=fallback, table=table_of(shaft))
-
-    def has_ended(self, code: int) -> bool:
-        """True: each cycle is completed; see `machine.InVectors`."""
-        return True
-
-    def go_on_from(self, code: int) -> int:
-        """Look at a problem that begins, lasts or ends; see `machine.InVectors`."""
-        if code == LOOK:
-            self._looks()
-        return code
-
-    def give(self) -> int:
-        """Write back to the objects; see `machine.InVectors`."""
-        self._looks()
-        return int(self._outputs["status"][0])

@@ -61,6 +61,8 @@ class WebLineTwin:
     transported out of the line.
     """
 
+    compiled_cycle = staticmethod(web_line_cycle.run)
+
     def __init__(
         self, model: ModelParameters, config: EstimationConfig, cycle_s: float, boundary_inputs: BoundaryInputs
     ) -> None:
@@ -291,11 +293,6 @@ class WebLineTwin:
             return False
         # While it refuses measured states, the simulation may have to be reset.
         return all(each.probing_step is None and not each.refused for each in self._all)
-
-    def warm_up_in_vectors(self) -> None:
-        """Compile, or load, the functions for running in vectors."""
-        if self._others is None:
-            web_line_cycle.warm_up()
 
     def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> LineCycle:
         """Runner in vectors; see `VectorMachine`."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from math import inf
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,11 +24,12 @@ from hilbench.estimation.web_line.anomalies import LEAST_SHARE
 from hilbench.estimation.web_line.block_means import BLOCK_S, ENDS
 from hilbench.estimation.web_line.carriage_slip import CarriageSlip
 from hilbench.estimation.web_line.section_anomalies import SectionDetector
-from hilbench.plant.web_line.line_follower import LineFollower
+from hilbench.plant.web_line.line_cycle import LOAD
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
 from hilbench.plant.web_line.stations import Reel, reel_name
+from hilbench.twin.machines.web_line_stations_cycle import WATCH, WatchArrays
 
 #: Share of the tension below which nothing is learned, and for how long: a breaking web passes it, another web stays.
 _DOUBTFUL, _DOUBT_S = 0.5, 0.15
@@ -46,16 +47,18 @@ _BLOCK_SHARE: Final = 0.06
 
 
 class _Section:
-    """Section after an axis: its tests, and the block being collected."""
+    """Section after an axis: its tests; `block`: of the compiled cycle."""
 
-    def __init__(self, model: ModelParameters, axis: int, unknowns: Sequence[Unknown], measured: Sequence[str]) -> None:
-        self.axis = axis
+    def __init__(
+        self, model: ModelParameters, axis: int, followed: SensitivityModel, measured: Sequence[str], block: WatchArrays
+    ) -> None:
+        self.axis, self._followed, self._block = axis, followed, block
         self._spans = [k for k, of in enumerate(axes_before_spans(model)) if of == axis]
         self.length_m = sum(model.span_length_m(k + 1) for k in self._spans)
         self.usual_N = model.upstream_strain * model.stiffness_N(self._spans[-1] + 1)
         #: Every roller after it is loaded: the tension of others is not observable by torques.
         self.seen = all(model.carries_web_load(later) for later in range(axis + 1, model.axis_count + 1))
-        corrected = {Unknown(Kind.STRAIN, axis), Unknown(Kind.MODULUS, axis)} <= set(unknowns)
+        corrected = {Unknown(Kind.STRAIN, axis), Unknown(Kind.MODULUS, axis)} <= followed.places.keys()
         self._breaks = SectionDetector(self.usual_N, self.length_m, 0.0)
         block_m = _BLOCK_SHARE * self.length_m
         self.slip = SectionDetector(self.usual_N, self.length_m, block_m) if self.seen and corrected else None
@@ -75,31 +78,30 @@ class _Section:
         if self.of_carriage is not None:
             self.of_carriage.reset()
 
-    def begin(self) -> None:
-        """Start a new block."""
-        self.promised_N = self.tightest_N = self._followed_N = 0.0
-
     def suspend(self) -> None:
         """Stop the evaluation over unusable torques."""
         self._breaks.suspend()
         if self.slip is not None:
             self.slip.suspend()
 
-    def collect(self, tensions_N: Sequence[float], followed: SensitivityModel) -> None:
-        """Take the tensions of a cycle (K,)."""
-        self.promised_N += tensions_N[self._spans[-1]]
-        self.tightest_N = max(self.tightest_N, min(tensions_N[self._spans[0] : self._spans[-1] + 1]))
-        self._now_N = self._by_model_N(followed)
-        self._followed_N += self._now_N
-
-    def corrected(self, followed: SensitivityModel) -> None:
+    def corrected(self) -> None:
         """Account for a correction of the simulated line since the last cycle."""
         if self.slip is not None:
-            self.slip.correct(self._by_model_N(followed) - self._now_N)
+            last, now = int(self._block.state["last"][0]), self._followed
+            self.slip.correct(self._by_model_N(now.tensions_N, now.errors) - self._by_model_N(*self._seen(last)))
 
-    def _by_model_N(self, followed: SensitivityModel) -> float:
-        """Tension with the model's E."""
-        return followed.tensions_N.item(self._spans[-1]) / followed.modulus_factor(self.axis) if self.slip else 0.0
+    def _seen(self, at: int | slice) -> tuple[Vector, Vector]:
+        return self._block.tensions_N[at], self._block.errors[at]
+
+    def _by_model_N(self, tensions_N: Vector, errors: Vector) -> Any:
+        """Tension with the model's E, by tensions of the spans (…, K) and errors of the unknowns (…, n)."""
+        at = self._followed.places[Unknown(Kind.MODULUS, self.axis)]
+        return tensions_N[..., self._spans[-1]] / (1.0 + errors[..., at])
+
+    def look_for_slack(self) -> None:
+        """Look whether the web was slack in the whole block."""
+        tightest_N = self._block.tensions_N[:, self._spans].min(axis=1).max()
+        self.slack = bool(max(tightest_N, 0.0) <= SLACK * self.usual_N)
 
     @property
     def problem(self) -> Problem | None:
@@ -127,7 +129,8 @@ class _Section:
     ) -> None:
         """Evaluate a block of so many cycles: what is more by the torques of the rollers (N,), and accelerates them;
         travel of the web since the last one, None if there is none or the simulated line has not settled."""
-        is_N, promised_N = self.promised_N / cycles - float(np.sum(more_N[self.axis :])), self.promised_N / cycles
+        promised_N = sum(self._block.tensions_N[:, self._spans[-1]].tolist()) / cycles
+        is_N = promised_N - float(np.sum(more_N[self.axis :]))
         self._compare(time_s - lasted_s, is_N / self.usual_N, promised_N / self.usual_N, travel_m)
         self.is_N = is_N
         if travel_m is None:
@@ -137,7 +140,8 @@ class _Section:
         self._breaks.take(time_s, is_N, promised_N, travel_m, lasted_s, steady=True)
         if self.slip is not None:
             steady = bool(abs(np.sum(accelerates_N[self.axis :])) < _ACCELERATES * self.usual_N)
-            self.slip.take(time_s, is_N, self._followed_N / cycles, travel_m, lasted_s, steady=steady)
+            followed_N = sum(self._by_model_N(*self._seen(slice(None))).tolist()) / cycles
+            self.slip.take(time_s, is_N, followed_N, travel_m, lasted_s, steady=steady)
 
     def _compare(self, began_s: float, share: float, promised: float, travel_m: float | None) -> None:
         """Compare the tension by torques and by encoders in a block, both over the usual tension."""
@@ -157,9 +161,9 @@ class _Section:
 class SectionWatch:
     """Detector of web breaks, slip and slack of a line whose N driven rollers answer once a cycle.
 
-    `span_of`: span number of each section in reports, by the axis before it; `unknowns`: corrections of the simulated
-    line; `measured`: names of stations with a sensor; `sensed_length_m`: length of the section after an axis, with its
-    carriage at its sensed position.
+    `span_of`: span number of each section in reports, by the axis before it; `followed`: the line that follows them;
+    `measured`: names of stations with a sensor; `sensed_length_m`: length of the section after an axis, with its
+    carriage at its sensed position. The compiled cycle collects a block in `arrays`.
     """
 
     def __init__(
@@ -167,20 +171,24 @@ class SectionWatch:
         model: ModelParameters,
         cycle_s: float,
         span_of: Mapping[int, int],
-        unknowns: Sequence[Unknown],
+        followed: SensitivityModel,
         measured: Sequence[str],
         sensed_length_m: Callable[[int], float],
     ) -> None:
         self._sensed_length_m, self._cycle_s, self._span_of = sensed_length_m, cycle_s, span_of
-        self._cycles = max(round(BLOCK_S / cycle_s), 2 * ENDS)
-        self._axes = range(1, model.axis_count + 1)
-        self._per_m = np.array([model.motor_rad_per_m(axis) for axis in self._axes])
-        self._sections = [_Section(model, axis, unknowns, measured) for axis in span_of]
+        cycles = max(round(BLOCK_S / cycle_s), 2 * ENDS)
+        axes = range(1, model.axis_count + 1)
+        self._per_m, self._followed = np.array([model.motor_rad_per_m(axis) for axis in axes]), followed
+        loads = [(axis - 1, model.motor_rad_per_m(axis), model.carries_web_load(axis)) for axis in axes]
+        sizes = len(axes), len(axes), model.span_count, len(followed.unknowns)
+        rows = (np.zeros((cycles + 1, size)) for size in sizes)
+        self.arrays = WatchArrays(np.zeros(1, WATCH), np.array(loads, LOAD), *rows)
+        self._sections = [_Section(model, axis, followed, measured, self.arrays) for axis in span_of]
         self.reset(in_motion=False)
 
     def reset(self, *, in_motion: bool) -> None:
         """Reset for a released web, at rest or running."""
-        self._time_s = 0.0
+        self.arrays.state["time_s"] = self.arrays.state["suspended"] = 0.0
         for section in self._sections:
             section.reset(in_motion=in_motion)
         self._judged_m: Vector | None = None  # positions of the driven rollers at the last evaluation
@@ -191,13 +199,15 @@ class SectionWatch:
         for section in self._sections:
             section.suspend()
         self.interrupt()
+        self.arrays.state["suspended"] = 1.0
 
     def interrupt(self) -> None:
-        """Start a new block after a missing cycle."""
-        self._differences_Nm = np.zeros(len(self._per_m))
-        self._travel_m: list[Vector] = []
-        for section in self._sections:
-            section.begin()
+        """Start a new block after a missing cycle, and show the compiled cycle what is known."""
+        state, slips_since_s = self.arrays.state[0], self.slips_since_s
+        state["count"] = 0.0
+        state["doubtful"], state["since_s"] = self.doubtful, slips_since_s
+        state["problem"] = any(section.problem is not None for section in self._sections)
+        state["belied"] = any(each.is_N is not None and each.belied_since_s < inf for each in self._sections)
 
     @property
     def problems(self) -> dict[int, Problem | None]:
@@ -222,49 +232,28 @@ class SectionWatch:
             if section.is_N is not None and section.belied_since_s < inf:
                 taken[section.axis] = section.is_N
             section.is_N = None
+        self.arrays.state["belied"] = 0.0
         return taken
 
-    def look(
-        self,
-        time_s: float,
-        positions_m: Sequence[float],
-        torques_Nm: Sequence[float],
-        followed: SensitivityModel,
-        inertia_kg_m2: Vector,
-        *,
-        swings: bool,
-    ) -> None:
-        """Evaluate a cycle: positions (N,) of the driven rollers at the web and torques, with the line that follows
-        them; `inertia_kg_m2` (N,): at the motors; `swings`: carriages move after a change of the web."""
-        line, tensions_N = followed.line, followed.tensions_N.tolist()
-        self._time_s += self._cycle_s
-        for section in self._sections:
-            section.collect(tensions_N, followed)
-        self._travel_m.append(np.array(positions_m))
-        self._differences_Nm -= np.asarray(torques_Nm) + line.load_torques_Nm(self._axes, line.v_m_s.tolist(), 0.0)
-        if len(self._travel_m) > self._cycles:
-            self._judge(time_s, line, inertia_kg_m2, swings=swings)
-            self._judged_m = self._travel_m[-1]
-            self.interrupt()
-
-    def corrected(self, followed: SensitivityModel) -> None:
+    def corrected(self) -> None:
         """Account for a correction of the simulated line since the last evaluation."""
         for section in self._sections:
-            section.corrected(followed)
+            section.corrected()
 
-    def _judge(self, time_s: float, line: LineFollower, inertia_kg_m2: Vector, *, swings: bool) -> None:
-        """Evaluate a complete block."""
-        count, travels_m = len(self._travel_m), None
-        speeds = np.diff(np.array(self._travel_m), axis=0) / self._cycle_s
+    def judge(self, time_s: float, inertia_kg_m2: Vector, *, swings: bool) -> None:
+        """Evaluate a complete block; `inertia_kg_m2` (N,): at the motors; `swings`: carriages move after a change of
+        the web."""
+        positions_m, travels_m = self.arrays.positions_m, None
+        count, ratios = len(positions_m), self._followed.ratios
+        speeds = np.diff(positions_m, axis=0) / self._cycle_s
         gained_m_s = _middle(speeds[-ENDS:]) - _middle(speeds[:ENDS])
         gained_m_s2 = gained_m_s / ((len(speeds) - ENDS) * self._cycle_s)
-        ratios = np.array([line.radius_ratio(axis) for axis in self._axes])
         accelerates_N = inertia_kg_m2 * self._per_m * gained_m_s2 * self._per_m / ratios
-        more_N = self._differences_Nm / count * self._per_m / ratios + accelerates_N
-        if self._judged_m is not None and self._time_s >= _SETTLED_S:
-            travels_m = (self._travel_m[-1] - self._judged_m) * ratios
+        more_N = -sum(self.arrays.torques_Nm) / count * self._per_m / ratios + accelerates_N
+        if self._judged_m is not None and self.arrays.state["time_s"][0] >= _SETTLED_S:
+            travels_m = (positions_m[-1] - self._judged_m) * ratios
         for section in self._sections:
-            section.slack = section.tightest_N <= SLACK * section.usual_N
+            section.look_for_slack()
             if section.seen:
                 travel_m = None if travels_m is None else travels_m.item(section.axis)
                 section.judge(time_s, count * self._cycle_s, count, more_N, accelerates_N, travel_m)
@@ -276,6 +265,8 @@ class SectionWatch:
                     into_m, out_m = travels_m[section.axis - 1 : section.axis + 1].tolist()
                     room_m = 0.0 if before_m is None else section.carried_m - before_m
                     section.of_carriage.take(time_s, into_m, out_m, room_m)
+        self._judged_m = positions_m[-1].copy()
+        self.interrupt()
 
 
 def _middle(values: Vector) -> Vector:

@@ -23,7 +23,6 @@ from hilbench.compiled import (
     compiled,
     entry_point,
     interpreted,
-    load,
     merged,
     record_type,
     rows_of,
@@ -172,7 +171,10 @@ def _compare(a: _LineArrays, table: Places, first: int, strain_prev: float, F_ne
         span.residual_Nm = a.measured[_MEASURED_SIZE * (place + 1) + _TORQUE] - t.shift_Nm - shown[at]
         torque_Nm, centre_m, strain_behind = a.torques_Nm[place + 1], nan, span.behind_strain
         if len(x_m) > 2:
-            torque_Nm += rollers.force_behind_N(a.rollers, place + 2) / rad_per_m[place + 1]
+            behind_N = 0.0  # of the motors behind, less their rollers' resistance
+            for axis in range(place + 1, len(a.rollers.forces_N)):
+                behind_N += a.rollers.forces_N[axis]
+            torque_Nm += behind_N / rad_per_m[place + 1]
             centre_m = rollers.centre_m(a.rollers, place + 2)
         torque_sim_Nm = 0.0  # of all motors after the span, referred to the first of them
         for axis in range(place + 1, len(rad_per_m)):
@@ -230,7 +232,7 @@ def _publish(a: _LineArrays, table: Places, compared: bool) -> tuple[int, bool]:
 
 
 @entry_point(COUNT, TABLE)
-def _run(stage: int, table: Places) -> int:
+def run(stage: int, table: Places) -> int:
     a = arrays_in(table, _LineArrays)
     at, whole = a.at, a.whole
     strain_prev, F_next_N = a.values[at.strain_prev], a.values[at.F_next_N]
@@ -256,11 +258,6 @@ def _run(stage: int, table: Places) -> int:
     if stage == _FINISH_WITHOUT:
         return _WITHOUT
     return _DONE if valid and not status & (HOLDING | TRANSFER_REFUSED) else _LOOK
-
-
-def warm_up() -> None:
-    """Compile, or load, the cycle in advance."""
-    load(_run)
 
 
 class LineCycle:
@@ -330,7 +327,7 @@ class LineCycle:
         if self._figures["ripples"][0] and not self._figures["samples"][0]:
             self._figures["samples"] = self._plant.step_in_vectors(self._cycle_s).samples
         self._take_method()
-        code = self.go_on_from(_run(cycle.COMPARE, self._table))
+        code = self.go_on_from(run(cycle.COMPARE, self._table))
         if code == MISSED:
             return None
         for each in self._estimated:
@@ -363,14 +360,10 @@ class LineCycle:
             self._of = tables
             self._table = np.concatenate([table_of(self._own), *tables])
             self.piece = CompiledStage(
-                _run, cycle.COMPARE, self._own, continues=_DONE, fallback=self._fallback, table=self._table
+                run, cycle.COMPARE, self._own, continues=_DONE, fallback=self._fallback, table=self._table
             )
         self._figures["input_strain"] = self._estimated[0].input_strain
         self.spans["separable"] = [each.separable for each in self._estimated]
-
-    def has_ended(self, code: int) -> bool:
-        """True if the cycle was completed; see `machine.InVectors`."""
-        return code in _ENDS
 
     def go_on_from(self, code: int) -> int:
         """Run the rest of a cycle; see `machine.InVectors`."""
@@ -401,7 +394,7 @@ class LineCycle:
             each.go_on_from(stage, strain_before)
             behind = _NEXT_SPAN
         self._take_method()
-        return _run(behind, self._table)
+        return run(behind, self._table)
 
     def _follow_others(self, x_m: Sequence[float]) -> None:
         """Follow the spans without an estimator; their strains are those around the spans with one."""

@@ -11,11 +11,12 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import copysign, exp, hypot, inf, sqrt
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from hilbench.compiled import Vector
+from hilbench.estimation import noise_level
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.web_line.augmented_filter import AugmentedFilter, Posterior
 from hilbench.estimation.web_line.transients import Transient
@@ -25,6 +26,7 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
 from hilbench.twin.machines.web_line_sensors import StationSensors
+from hilbench.twin.machines.web_line_stations_cycle import FILTER, FilterArrays
 from hilbench.twin.machines.web_line_transients import transient_detector
 
 _WINDOW_S: Final = 0.03  #: averaging window
@@ -101,13 +103,6 @@ class _Kept:
     corrected: Vector
 
 
-class Found(NamedTuple):
-    """Value and its standard deviation."""
-
-    value: float
-    deviation: float
-
-
 class LineFilter:
     """Estimator of a line with stations, whose axes answer once a cycle; `measured`: names of stations with a sensor;
     `torqued`: torque-controlled axes, whose torque has no information on the web; `emulated`: load motors emulate the
@@ -133,9 +128,8 @@ class LineFilter:
         assert loops is not None, "a twin's model has drives"
         self._limits_Nm = [per_item(loops.torque_limit_Nm, axis) for axis in self._axes]
         limits_Nm, of_sensors = np.array(self._limits_Nm), self._sensors.offsets
-        self._least_variances = (_TRANSIENT_NOISE_SHARE * limits_Nm) ** 2  # of torques in which transients are searched
         self._offsets = np.concatenate([_OFFSET_SHARE * limits_Nm, of_sensors])
-        self._shows = np.array([self._shows_in_torques(each) for each in self.sensitivities.unknowns], float)
+        shows = np.array([self._shows_in_torques(each) for each in self.sensitivities.unknowns], float)
         self._gains = [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes]
         self._rates = [per_item(loops.velocity_ki_Nm_per_rad, axis) for axis in axes]
         own_kg = [model.roller_mass_kg(axis) + model.motor_mass_kg(axis) for axis in axes]
@@ -143,9 +137,24 @@ class LineFilter:
         wound_kg_m2 = [model.wound_inertia_kg_m2(axis) / model.gear_ratio(axis) ** 2 for axis in axes]
         #: Inertia of each driven roller (N,), at the motor: its own, and of the web wound on it at the start.
         self._own_kg_m2, self._wound_kg_m2 = np.array(own_kg) / per_m**2, np.array(wound_kg_m2)
-        self._rad_per_m = per_m
+        self._response = DriveResponse(self._gains, self._rates, len(shows) + 1, cycle_s)
+        count, innovations = len(self._axes), len(self._offsets)
+        #: Of the compiled cycle.
+        self.arrays = FilterArrays(
+            *(np.zeros(1, FILTER), self._rows, np.zeros(count), np.zeros((count, noise_level.SIZE)), np.zeros(count)),
+            *((_TRANSIENT_NOISE_SHARE * limits_Nm) ** 2, np.zeros(count)),
+            *(
+                np.zeros(innovations),
+                np.zeros((innovations, len(shows))),
+                self._sensors.rows,
+                np.zeros(len(of_sensors)),
+            ),
+            *(shows, self.sensitivities.steps, self.sensitivities.errors, np.zeros(len(per_m)), per_m),
+            *(np.zeros(len(per_m)), self._response.arrays, self.sensitivities.load_slopes),
+        )
+        self._state = self.arrays.state[0]
+        self._state["emulated"] = emulated
         self._set_cycle(cycle_s)
-        self._loads = self.sensitivities.load_slopes  # updated in place
         kinds = np.array([each.kind for each in self.sensitivities.unknowns])
         self._is_strain, self._is_modulus = kinds == Kind.STRAIN, kinds == Kind.MODULUS
         sensed = np.array([each in self._sensors.sensed for each in self.sensitivities.unknowns], bool)
@@ -167,9 +176,8 @@ class LineFilter:
         self._set_transients()
 
     def _set_cycle(self, cycle_s: float) -> None:
-        self._cycle_s = cycle_s
-        self._window = max(round(_WINDOW_S / cycle_s), 1)
-        self._response = DriveResponse(self._gains, self._rates, len(self.sensitivities.unknowns) + 1, cycle_s)
+        self._cycle_s = self._response.cycle_s = cycle_s
+        self._window = self._state["window"] = max(round(_WINDOW_S / cycle_s), 1)
 
     def _set_transients(self) -> None:
         """Create the transient detectors for this cycle time."""
@@ -180,7 +188,7 @@ class LineFilter:
         answer = DriveResponse(self._gains, self._rates, 1, self._cycle_s)
         answer.set_inertia(self.inertia_kg_m2)
         #: Of each section with a carriage: index of its E, and its transient detector.
-        self._transients = [
+        self.transients = [
             (place, transient_detector(model, unknown.number, self._rows.tolist(), answer, self._cycle_s))
             for place, unknown in enumerate(self.sensitivities.unknowns)
             if unknown in held and self._axes  # without torques of the web nothing is observable
@@ -190,9 +198,7 @@ class LineFilter:
         """Set the cycle time; the estimate stays."""
         if cycle_s == self._cycle_s:
             return
-        before = self._response
         self._set_cycle(cycle_s)
-        self._response.go_on_from(before)
         self._set_growth()
         self._set_inertia()
         self._set_transients()
@@ -206,9 +212,6 @@ class LineFilter:
         in_motion = speed_m_s != 0.0 or not known
         strained = _STRAIN_AT_REST if not in_motion else _STRAIN_IN_MOTION if speed_m_s else _STRAIN_UNKNOWN
         believed = np.diag([self._believed(each, in_motion, strained) ** 2 for each in self.sensitivities.unknowns])
-        # On a line joined while running, E and strain are separable once its web has been replaced; but after a
-        # carriage, which keeps the tension, web enters with a strain that E has made.
-        self._known_from_m = self._web_m if in_motion else 0.0
         unknown_at_rest = not known and speed_m_s == 0.0
         self._moduli_from_m = _SHOWN_FROM * self._web_m if unknown_at_rest else 0.0
         self._model_share = hypot(_MODEL_SHARE, _OF_PRODUCT if unknown_at_rest else 0.0)
@@ -241,17 +244,20 @@ class LineFilter:
             believed + moduli, self._is_modulus, rates, self._offsets, swings, swings_on, swinging
         )
         self._set_growth()
-        self._noise = [NoiseLevel(0.01 * limit_Nm, 1e-4 * limit_Nm) for limit_Nm in self._limits_Nm]
-        self._positions_m, self._travel_m, self._window_travel_m = list(positions_m), 0.0, 0.0
+        for state, limit_Nm in zip(self.arrays.noise, self._limits_Nm, strict=True):
+            state[:] = NoiseLevel(0.01 * limit_Nm, 1e-4 * limit_Nm).state
+        for name in ("travel_m", "window_travel_m", "has_speeds", "searches", "slips", "uncertain"):
+            self._state[name] = 0.0
+        self._state["followed_m"] = positions_m[-1]
+        # On a line joined while running, E and strain are separable once its web has been replaced; but after a
+        # carriage, which keeps the tension, web enters with a strain that E has made.
+        self._state["known_from_m"] = self._web_m if in_motion else 0.0
         self._time_s = 0.0
-        self._sensed = np.zeros(len(self._sensors.offsets))  # sensor residuals to the simulated line
+        self.arrays.sensed[:] = 0.0
         self._speeds_m_s: Vector | None = None
-        self._speeds_rad_s: Vector | None = None  # of the motors (N,)
-        self._followed_s = self._cycle_s  # duration of the last motion step
-        self._loads[:] = 0.0
+        self.arrays.loads[:] = 0.0
         self._response.reset()
         self._set_inertia()
-        self._slips = False
         self._may_be: list[tuple[float, int, Transient]] = []  # uncertain transients, and their start times
         #: Travel from which on E next to a carriage has changed, or web enters with another strain, or slips.
         self._undecided_from_m = inf
@@ -290,7 +296,22 @@ class LineFilter:
         """Update the inertia of reels by the web on them."""
         #: Inertia of each driven roller (N,) with the web on it now, at the motor.
         self.inertia_kg_m2: Vector = self._own_kg_m2 + self._wound_kg_m2 * self.sensitivities.ratios**4
+        # That of a load motor in place of a reel has not changed.
+        self.arrays.lacking_kg_m2[:] = self.inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2
         self._response.set_inertia(self.inertia_kg_m2)
+
+    @property
+    def _travel_m(self) -> float:
+        return float(self._state["travel_m"])
+
+    @property
+    def _slips(self) -> bool:
+        return bool(self._state["slips"])
+
+    @property
+    def sensor_names(self) -> Sequence[str]:
+        """Stations with a sensor, in the order of the compiled cycle."""
+        return self._sensors.names
 
     @property
     def swings(self) -> bool:
@@ -298,89 +319,41 @@ class LineFilter:
         return self._time_s <= self._oscillates_until_s
 
     def _begin_window(self) -> None:
-        self._cycles = 0
-        self._sum = np.zeros(len(self._offsets))
-        self._slopes = np.zeros((len(self._sum), len(self.sensitivities.unknowns)))
-
-    # -- each cycle --------------------------------------------------------------------------------------
-
-    def sense(self, readings: Mapping[str, float]) -> None:
-        """Take the readings of station sensors for the last motion step, m and N, by name."""
-        first, (left, slopes) = len(self._axes), self._sensors.look(readings)
-        self._sensed = left
-        self._sum[first:] += left
-        self._slopes[first:] += slopes
+        self._state["count"] = self.arrays.sums[:] = self.arrays.slopes[:] = 0.0
 
     def sensed_length_m(self, axis: int) -> float:
         """Length of the section after an axis, with its carriages at their sensed positions."""
-        sensed = zip(self._sensors.sensed, self._sensed.tolist(), strict=False)
+        sensed = zip(self._sensors.sensed, self.arrays.sensed.tolist(), strict=False)
         return self.sensitivities.length_m(axis) + sum(
             left_m * self.sensitivities.longer_by(each, axis) for each, left_m in sensed if each.kind is Kind.CARRIAGE
         )
 
-    def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
-        """Move the driven rollers (N,) to these positions."""
-        self.sensitivities.follow(positions_m, duration_s)
-        self._followed_s = duration_s
-        travel_m = abs(positions_m[-1] - self._positions_m[-1])
-        self._travel_m += travel_m
-        self._window_travel_m += travel_m
-        self._positions_m = list(positions_m)
+    # -- what the compiled cycle leaves --------------------------------------------------------------------
 
-    @property
-    def torques_missing_Nm(self) -> Vector:
-        """Part of the closed line's torques (N,) that its drives have not yet answered to corrections."""
-        return self._response.torques_Nm[:, -1]
+    def begin_slip(self, since_s: float) -> None:
+        """A web slips: undo corrections since the latest time without slip; from now on torques update tensions
+        alone."""
+        self._take_back(since_s)
+        self._undecided_from_m = inf
+        self._begin_window()
 
-    def compare(self, time_s: float, residuals_Nm: Vector, *, limited: bool, slips_since_s: float = inf) -> bool:
-        """Update by torque residuals (N,), measured less closed line; True if something was corrected. `limited`: a
-        torque is saturated, and has no information; `slips_since_s`: latest time without slip, inf without slip:
-        corrections since then are undone, and torques update tensions alone."""
-        began, self._slips = not self._slips and slips_since_s < inf, slips_since_s < inf
-        if began:
-            self._take_back(slips_since_s)
-            self._undecided_from_m = inf
-            self._response.step(self._loads)
-            self._begin_window()
-            return True
-        answered = self._response.torques_Nm
-        left = (residuals_Nm - answered[:, -1])[self._rows]
-        for level, left_Nm in zip(self._noise, left.tolist(), strict=True):
-            level.update(left_Nm)
-        self._variances_Nm2 = np.array([level.variance for level in self._noise])
-        if not limited and self._look_for_transients(time_s, left):
-            self._response.step(self._loads)
-            self._begin_window()
-            return True
-        self._sum[: len(left)] += left
-        self._slopes[: len(left)] += answered[self._rows, :-1] * self._shows
-        self._cycles += 1
-        self._refresh_loads()
-        corrected = False
-        if self._cycles >= self._window:
-            corrected = not limited and self._correct(time_s)
-            self._keep(time_s)
-            self._begin_window()
-        self._response.step(self._loads)
+    def correct(self, time_s: float, *, limited: bool) -> bool:
+        """Update by the innovations of a window; True if something was corrected. `limited`: a torque is saturated, and
+        has no information."""
+        corrected = not limited and self._correct(time_s)
+        self._keep(time_s)
+        self._state["uncertain"] = bool(self._may_be)  # what the next section books has changed
+        self._begin_window()
         return corrected
 
-    def _refresh_loads(self) -> None:
-        """Update the load sensitivities. A load motor in place of a reel emulates its web's tension, but with the
-        flywheel that the reel had at the start."""
-        self.sensitivities.refresh_load_slopes()
-        speeds = self._rad_per_m * self.sensitivities.line.v_m_s
-        before, self._speeds_rad_s = self._speeds_rad_s, speeds
-        if self._emulated and before is not None:
-            lacking_kg_m2 = self.inertia_kg_m2 - self._own_kg_m2 - self._wound_kg_m2
-            self._loads[:, -1] += lacking_kg_m2 * (speeds - before) / self._followed_s
-
     def _correct(self, time_s: float) -> bool:
-        count, unknowns = self._cycles, self.sensitivities.unknowns
+        count, unknowns = int(self._state["count"]), self.sensitivities.unknowns
         lasted_s = count * self._cycle_s
         self._time_s += lasted_s
+        self._state["searches"] = self._identifies_moduli and self._time_s >= _TRANSIENTS_FROM_S
         self._filter.grow(*self._growth(lasted_s))
         learns = self._learns_slipping if self._slips else None
-        innovations, slopes = self._sum / count, self._slopes / count
+        innovations, slopes = self.arrays.sums / count, self.arrays.slopes / count
         if learns is None and self._travel_m < self._moduli_from_m:
             learns = self._learns_no_modulus
         variances, jumps = self._variances(count, lasted_s), (self._jumps, self.sensitivities.web_changed())
@@ -388,7 +361,7 @@ class LineFilter:
         if self._filter.has_begun_to_change:
             # The drives' response restarts from a change of the web in the middle of the window.
             web = [i for i, each in enumerate(unknowns) if each.kind in (Kind.MODULUS, Kind.STRAIN)]
-            self._response.answer_from(count // 2, web, self._loads)
+            self._response.answer_from(count // 2, web, self.arrays.loads)
             self._undecided_from_m = inf
             return False
         if learns is None:
@@ -420,7 +393,7 @@ class LineFilter:
         """Corrections of initial errors of E (n,): immediate while nothing is known of the web, and undone later
         without evidence."""
         filtered, none = self._filter, np.zeros_like(self._corrected)
-        if self._time_s <= _STARTS_S or self._travel_m < self._known_from_m:
+        if self._time_s <= _STARTS_S or self._travel_m < self._state["known_from_m"]:
             taken = filtered.take_start()
             self._started = self._started + taken
             return taken
@@ -435,7 +408,7 @@ class LineFilter:
             self._undecided_from_m = inf
             return False
         self._undecided_from_m = min(self._undecided_from_m, self._travel_m)
-        return not self._transients or self._travel_m - self._undecided_from_m > self._keep_m
+        return not self.transients or self._travel_m - self._undecided_from_m > self._keep_m
 
     def _learn(self, *, anew: bool = False) -> None:
         """Correct E immediately for a while; `anew`: it changed some time ago, by an amount yet to be estimated."""
@@ -444,24 +417,24 @@ class LineFilter:
         self._undecided_from_m = inf
         self._learns_until_s = self._time_s + _LEARNS_S
 
-    def _look_for_transients(self, time_s: float, left_Nm: Vector) -> bool:
-        """Search transients in torque residuals (m,); True if one was applied."""
-        if not self._identifies_moduli or self._slips or self._time_s < _TRANSIENTS_FROM_S:
+    def look_for_transients(self, time_s: float) -> bool:
+        """Decide on transients in the torques' innovations; True if one was applied."""
+        if not self._state["searches"] or self._slips:
             self._forget_transients()
             return False
-        variances = self._least_variances + self._variances_Nm2
-        found = [(place, watch.take(left_Nm, variances)) for place, watch in self._transients]
-        for place, transient in found:
+        for place, watch in self.transients:
+            transient = watch.decide(self.arrays.searched_Nm2)
             if transient is not None:
                 self._may_be.append((time_s - transient.cycles * self._cycle_s, place, transient))
+        self._state["uncertain"] = 0.0
         for began_s, place, transient in list(self._may_be):
             if time_s - began_s > _MAY_BE_S:
                 self._may_be.remove((began_s, place, transient))
-            elif transient.sure and not self._emulated:
-                self._kicked(time_s, began_s, place, transient)
-                return True
-            elif (handed_on := self._handed_on(began_s, place, transient)) is not None:
-                self._kicked(time_s, began_s, place, handed_on)
+                continue
+            sure = transient if transient.sure and not self._emulated else self._handed_on(began_s, place, transient)
+            if sure is not None:
+                self._kicked(time_s, began_s, place, sure)
+                self._begin_window()
                 return True
         return False
 
@@ -525,9 +498,10 @@ class LineFilter:
             changes[self.sensitivities.places[behind]] = self.sensitivities.modulus_factor(axis + 1) * more * gone
 
     def _forget_transients(self) -> None:
-        for _, watch in self._transients:
+        for _, watch in self.transients:
             watch.reset()
         self._may_be.clear()
+        self._state["uncertain"] = 0.0
 
     def _apply(self, changes: Vector) -> None:
         """Correct the line's unknowns (n,) and restart from the corrected ones."""
@@ -538,7 +512,8 @@ class LineFilter:
         self._filter.turn(turned)
         self._response.turn(np.asarray(np.linalg.inv(turned), np.float64))
         self.sensitivities.refresh_load_slopes()
-        self._set_inertia()
+        if self._wound_kg_m2.any():
+            self._set_inertia()
 
     def put_tensions(self, tensions_N: Mapping[int, float]) -> None:
         """Set the tensions of the sections after these axes, whatever the encoders' strain; only of those whose strain
@@ -590,7 +565,7 @@ class LineFilter:
         self._slow_growth = (1.0 - np.outer(self._left, self._left)) * prior
 
     def _growth(self, time_s: float) -> tuple[Vector, Vector, float]:
-        travel_m, self._window_travel_m = self._window_travel_m, 0.0
+        travel_m, self._state["window_travel_m"] = float(self._state["window_travel_m"]), 0.0
         growth = self._slow_growth.copy()
         for at, unknown in enumerate(self.sensitivities.unknowns):
             if unknown.kind is Kind.CARRIAGE:
@@ -606,27 +581,25 @@ class LineFilter:
     def _variances(self, count: int, lasted_s: float) -> Vector:
         """Variances of a window of so many cycles: noise of torques, and by their inertia, then of sensors."""
         limits_Nm, swing = np.array(self._limits_Nm), exp(-self._time_s / _SWING_S)
-        noise = self._variances_Nm2 / count + (_LEAST_NOISE_SHARE * limits_Nm) ** 2
+        noise = self.arrays.variances_Nm2 / count + (_LEAST_NOISE_SHARE * limits_Nm) ** 2
         noise += (_SWING_SHARE * limits_Nm * swing) ** 2
         speeds_m_s = self.sensitivities.line.v_m_s[self._rows]
         before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
-        rates = self._rad_per_m[self._rows] * (speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
+        rates = self.arrays.rad_per_m[self._rows] * (speeds_m_s - (speeds_m_s if before is None else before)) / lasted_s
         noise += (_INERTIA_SHARE * self.inertia_kg_m2[self._rows] * rates) ** 2
         sensors = self._sensors.variances + (_SWING_SHARE * self._sensors.tensions_N * swing) ** 2
         return np.concatenate([noise, sensors])
 
     # -- estimates ---------------------------------------------------------------------------------------
 
-    def carriage(self, number: int) -> Found:
-        """Position of a carriage, m; from 1."""
-        return Found(self.sensitivities.carriage_m(number), self._deviation(Unknown(Kind.CARRIAGE, number)))
+    def carriage_deviation_m(self, number: int) -> float:
+        """Standard deviation of the position of a carriage, from 1."""
+        return self._deviation(Unknown(Kind.CARRIAGE, number))
 
-    def radius(self, axis: int) -> Found:
-        """Radius of a reel, m. Where E is not observable the deviation includes that of the strain."""
-        radius_m = self._model.radius_m(axis)
+    def radius_deviation_m(self, axis: int) -> float:
+        """Standard deviation of the radius of a reel. Where E is not observable it includes that of the strain."""
         by_strain = 0.0 if self._identifies_moduli else _MODULUS_SHARE * abs(self._model.upstream_strain)
-        deviation = hypot(self._deviation(Unknown(Kind.RADIUS, axis)), by_strain)
-        return Found(radius_m * self.sensitivities.ratio(axis), radius_m * deviation)
+        return self._model.radius_m(axis) * hypot(self._deviation(Unknown(Kind.RADIUS, axis)), by_strain)
 
     def separable(self, axis: int) -> bool:
         """True if E of the section after an axis is identified."""
@@ -634,14 +607,15 @@ class LineFilter:
             return False
         return self._modulus_deviation(axis) < 0.5 * _MODULUS_SHARE * self.sensitivities.modulus_factor(axis)
 
-    def modulus(self, axis: int, modulus_Pa: float) -> Found:
-        """E in the section after an axis, Pa, with the model's `modulus_Pa`; deviation inf if it is not identified."""
-        factor = self.sensitivities.modulus_factor(axis)
-        if not self._identifies_moduli:
-            return Found(modulus_Pa, inf)
-        if self._is_undecided(axis):
-            return Found(modulus_Pa * factor, inf)
-        return Found(modulus_Pa * factor, modulus_Pa * hypot(self._modulus_deviation(axis), self._model_share))
+    def modulus_deviation(self, axis: int) -> float:
+        """Standard deviation of E in the section after an axis over the model's E; inf if it is not identified."""
+        if not self._identifies_moduli or self._is_undecided(axis):
+            return inf
+        return hypot(self._modulus_deviation(axis), self._model_share)
+
+    def modulus_factor(self, axis: int) -> float:
+        """Factor on the model's E of the section after an axis; 1 if it is not identified."""
+        return self.sensitivities.modulus_factor(axis) if self._identifies_moduli else 1.0
 
     def _modulus_deviation(self, axis: int) -> float:
         """Deviation of the corrected E, including the estimated but not yet applied correction."""
@@ -651,11 +625,11 @@ class LineFilter:
     def _is_undecided(self, axis: int) -> bool:
         """True while a change of E of the section after an axis, or of its neighbour, is undecided, or web of unknown
         strain is still there."""
-        if self._travel_m < self._known_from_m:
+        if self._travel_m < self._state["known_from_m"]:
             return True
         if self._undecided_from_m == inf:
             return False
-        numbers = [self.sensitivities.unknowns[place].number for place, _ in self._transients]
+        numbers = [self.sensitivities.unknowns[place].number for place, _ in self.transients]
         return axis in numbers or axis - 1 in numbers
 
     def _deviation(self, unknown: Unknown) -> float:

@@ -1,4 +1,4 @@
-"""Station sensors: their residuals to the simulated line, and the sensitivities of those.
+"""Station sensors of a line: what they show of its twin, and their errors.
 
 A dancer or accumulator has a position sensor, a reel one of its radius, an idler a load cell: the mean of the tensions
 on both sides of it.
@@ -6,15 +6,15 @@ on both sides of it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
-from hilbench.compiled import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
 from hilbench.plant.web_line.stations import Idler, Reel, reel_name
+from hilbench.twin.machines.web_line_stations_cycle import SENSOR
 
 # Sensor errors, as standard deviations.
 _CARRIAGE_M: Final = 2e-4
@@ -31,41 +31,30 @@ class StationSensors:
     """
 
     def __init__(self, model: ModelParameters, sensitivities: SensitivityModel, measured: Sequence[str]) -> None:
-        self._varied = sensitivities
         direct = [(name, unknown) for name, unknown in _stations(model).items() if name in measured]
         idlers = {each.name: row for row, each in enumerate(model.line_rollers) if isinstance(each.station, Idler)}
         cells = {name: row for name, row in idlers.items() if name in measured}
         #: Unknowns with a sensor of their own.
         self.sensed = [unknown for _, unknown in direct]
-        self._names = [name for name, _ in direct] + list(cells)
-        count = len(self._names)
-        # Sensitivities of each sensor to integrated states and tensions of a line, and to radii of reels.
-        self._of_motions = np.zeros((count, sensitivities.motion_count))
-        self._of_tensions, self._of_ratios = np.zeros((count, model.span_count)), np.zeros((count, model.axis_count))
-        self._own, self._scales = np.zeros((count, len(sensitivities.unknowns))), np.ones(count)
-        for at, unknown in enumerate(self.sensed):
+        self.names = [name for name, _ in direct] + list(cells)
+        rows = []
+        for unknown in self.sensed:
             if unknown.kind is Kind.CARRIAGE:
-                self._of_motions[at, sensitivities.carriage_row(unknown.number)] = 1.0
+                rows.append((1.0, sensitivities.carriage_row(unknown.number), -1, -1, -1))
             else:
-                self._of_ratios[at, unknown.number - 1] = self._own[at, sensitivities.places[unknown]] = 1.0
-                self._scales[at] = model.radius_m(unknown.number)
-        for at, row in enumerate(cells.values(), len(direct)):
-            self._of_tensions[at, [row - 1, row]] = 0.5
-        #: Usual tension at each load cell (s,); 0 for other sensors.
+                radius_m, own = model.radius_m(unknown.number), sensitivities.places[unknown]
+                rows.append((radius_m, -1, -1, unknown.number - 1, own))
+        rows += [(1.0, -1, row - 1, -1, -1) for row in cells.values()]
+        self.rows = np.array(rows, SENSOR)  #: of the compiled cycle
         stiffness_N = np.array([model.stiffness_N(span) for span in range(1, model.span_count + 1)])
-        self.tensions_N = model.upstream_strain * self._of_tensions @ stiffness_N
+        half, sides = 0.5 * model.upstream_strain, ([row - 1, row] for row in cells.values())
+        #: Usual tension at each load cell (s,); 0 for other sensors.
+        self.tensions_N = np.array([0.0] * len(direct) + [(half * stiffness_N[both]).sum() for both in sides])
         shares = [_CARRIAGE_M if unknown.kind is Kind.CARRIAGE else _RADIUS_SHARE for unknown in self.sensed]
         noise = np.array(shares + [0.0] * len(cells))
         #: Variances of the readings in a window (s,), and deviations of their constant errors (s,).
         self.variances = (noise + _CELL_SHARE * self.tensions_N) ** 2
         self.offsets = _CELL_OFFSET_SHARE * self.tensions_N
-
-    def look(self, readings: Mapping[str, float]) -> tuple[Vector, Vector]:
-        """Residuals of the readings, by station name, to the simulated line (s,), and their sensitivities to each
-        unknown (s, n)."""
-        shown, slopes = self._varied.shown(self._of_motions, self._of_tensions)
-        readings_now = np.array([readings[name] for name in self._names]) / self._scales
-        return readings_now - shown - self._of_ratios @ self._varied.ratios, slopes + self._own
 
 
 def _stations(model: ModelParameters) -> dict[str, Unknown]:

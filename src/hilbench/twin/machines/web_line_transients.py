@@ -36,7 +36,7 @@ def transient_detector(
     for _ in range(cycles):
         loads.append(response.torques_Nm[rows, 0])
         response.step(np.ones((model.axis_count, 1)))
-    return TransientDetector(transients[:, :cycles], _SHARES, np.array(loads))
+    return TransientDetector(transients[:, :cycles], np.array(loads))
 
 
 def _transient(model: ModelParameters, axis: int, share: float, cycle_s: float) -> Vector:

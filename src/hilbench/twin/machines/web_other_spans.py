@@ -81,5 +81,5 @@ class OtherSpans:
             else:
                 self.refused = True
         for span, name in enumerate(self._moduli, 1):
-            self._web.put_modulus(span, line.parameter(name))
+            self._web.moduli_Pa[span - 1] = line.parameter(name)
         line.set_state(states)

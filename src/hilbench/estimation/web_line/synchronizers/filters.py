@@ -120,8 +120,11 @@ def follow(f: FilterArrays, sample: tuple[float, ...]) -> bool:
     variance = 0.0
     for i in range(len(shares)):
         if shares[i] != 0.0:
-            apart = z[kalman.E, i] - out[0, kalman.E]
-            variance += shares[i] * (kalman.spread_of_e(p, i) + apart * apart)
+            apart, spread = z[kalman.E, i] - out[0, kalman.E], p[kalman.E, kalman.E, i]
+            for j in range(kalman.OFFSET, kalman.SIZE):  # by noise alone, without that of nuisance parameters
+                if p[j, j, i] > 0.0:
+                    spread -= p[kalman.E, j, i] * p[kalman.E, j, i] / p[j, j, i]
+            variance += shares[i] * (max(spread, 0.0) + apart * apart)
     out[2, kalman.E] = sqrt(variance)
     bank.give_birth(b, kalman.E, motion_filter.RATE)
     return True

@@ -71,13 +71,3 @@ def step(b: BankArrays, u: Record) -> None:
     innovation, variance = rate, noise
     for i in range(count):
         b.likelihoods[i] = -0.5 * (innovation[i] * innovation[i] / variance[i] + log(2.0 * pi * variance[i]))
-
-
-@compiled
-def spread_of_e(p: Array, i: int) -> float:
-    """Variance of E in filter `i` by noise alone, without that of nuisance parameters."""
-    variance = p[E, E, i]
-    for j in range(OFFSET, SIZE):
-        if p[j, j, i] > 0.0:
-            variance -= p[E, j, i] * p[E, j, i] / p[j, j, i]
-    return float(max(variance, 0.0))
