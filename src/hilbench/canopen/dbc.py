@@ -61,11 +61,6 @@ def symbol(text: str) -> str:
     return name if not name[0].isdigit() else f"_{name}"
 
 
-def ascii_unit(unit: str) -> str:
-    """A unit as DBC files have it: N·m is Nm, m/s² is m/s^2."""
-    return _ascii(unit.translate(_UNIT_SIGNS))
-
-
 def _ascii(text: str) -> str:
     """Letters without their marks; a question mark for what is none."""
     marked = unicodedata.normalize("NFKD", text.replace('"', "'"))
@@ -88,7 +83,7 @@ def _signals(message: DbcMessage) -> Iterator[Signal]:
             conversion=BaseConversion.factory(factor, is_float=kind.is_float),
             minimum=None if kind.is_float else _rounded(lowest * factor),
             maximum=None if kind.is_float else _rounded(highest * factor),
-            unit=ascii_unit(name) or None,
+            unit=_ascii(name.translate(_UNIT_SIGNS)) or None,
             comment=_ascii(f"{variable.index:04X}h:{variable.subindex} {called}"),
         )
         start += bits

@@ -39,7 +39,6 @@ from hilbench.forked_workers import ForkedWorker, Preparation, forked_workers
 from hilbench.processes import ChildProcess
 from hilbench.real_time import comes_first, kept_ready
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.parts import Part
 from hilbench.topology.resolved import remember, write_resolved
 from hilbench.twin.machines.kinds import warm_up
 
@@ -330,7 +329,7 @@ def _configure(
     """Configure each node once it has booted: drives first, while the twin loads; returns their objects before it."""
     # From its reset on the state of a node that is there already is known.
     present = participants is Participants.PRESENT
-    there = {part.node.node_id for part in config.parts if present or not _is_started(part)}
+    there = {part.node.node_id for part in config.parts if present or not (part.is_simulated or part.is_virtual)}
     for node_id in sorted(there):
         master.nmt(NmtCommand.RESET_NODE, node_id)
     if there:
@@ -367,11 +366,6 @@ def _beside_each_other(most: int, participants: Participants) -> Iterator[ForEac
         return
     with ThreadPoolExecutor(most, "configuration") as threads:
         yield threads.map
-
-
-def _is_started(part: Part) -> bool:
-    """True if a bench starts it: simulated or virtual."""
-    return part.is_simulated or part.is_virtual
 
 
 def _wait_until_started(config: BenchConfig, master: Master) -> None:

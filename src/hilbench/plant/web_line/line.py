@@ -14,11 +14,9 @@ from hilbench.plant.effects import effects_of, find_effect
 from hilbench.plant.interface import Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import per_item
-from hilbench.plant.sampling import samples_per
 from hilbench.plant.web_line import laws, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
-from hilbench.plant.web_line.line_vectors import torque_ripples
 from hilbench.plant.web_line.modes import needed_substeps
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -148,17 +146,6 @@ class Line(SimulatedLine):
     def strain(self) -> Vector:
         """Strain of each span (K,)."""
         return self._out[self._layout.columns["strain"]].copy()
-
-    def torque_ripples_Nm(self, duration_s: float) -> Vector:
-        """Excess of each driven axis's mean torque (N,) over the last `duration_s` over the mean of its two ends: with
-        stepped set points a drive's torque is highest after each step.
-
-        Raises ValueError for a duration that is no multiple of the drives' sample time.
-        """
-        samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
-        ripples_Nm = np.zeros(len(self._driven))
-        torque_ripples(self._p, self._state, self._places_of_motors, samples, ripples_Nm)
-        return ripples_Nm
 
     @property
     def x_m(self) -> Vector:
