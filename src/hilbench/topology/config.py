@@ -64,6 +64,10 @@ def _of_shaft(entries: Sequence[EffectEntry]) -> list[ShaftEffect]:
     return [ShaftEffect.model_validate(entry.model_dump()) for entry in entries]
 
 
+def _default_controllers(machine: Any) -> dict[str, ControllerConfig]:
+    return {"tension_control": TensionControlConfig()} if isinstance(machine, ModelParameters) else {}
+
+
 class BenchConfig(Block):
     """One bench. Keys that carry a unit say so in their name."""
 
@@ -92,9 +96,7 @@ class BenchConfig(Block):
     load: LoadConfig = LoadConfig()
     twin: TwinConfig
     controllers: dict[PartName, ControllerConfig] = Field(
-        default_factory=lambda given: (
-            {"tension_control": TensionControlConfig()} if isinstance(given.get("machine"), ModelParameters) else {}
-        ),
+        default_factory=lambda given: _default_controllers(given.get("machine")),
         description="what keeps a quantity of the machine at its set-point, by the names they get: of a web line the "
         "tension of a span, or the position of a dancer or accumulator; of a servo axis none",
     )
