@@ -187,6 +187,14 @@ def test_check_of_three_thousand_unknown_keys_names_the_first(tmp_path: Path) ->
     assert len(said.stderr.splitlines()) < 50
 
 
+def test_check_with_a_key_of_five_thousand_parts_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("name: a\n")
+    said = hilbench("check", tmp_path / "a.yaml", "--set", "a." * 5000 + "x=1")
+    assert said.returncode == 2
+    assert said.stderr.count("\n") == 1
+    assert "expected KEY=VALUE such as" in said.stderr
+
+
 @pytest.mark.parametrize("name", ["a.mf4", "a.csv", "a.csv.gz", "a.parquet", "a.log", "a.asc", "a.blf"])
 def test_a_pipe_with_the_name_of_a_recording_or_trace_is_refused_without_waiting(name: str, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / name)

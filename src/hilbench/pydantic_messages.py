@@ -27,6 +27,8 @@ _WORDS: Final[Mapping[str, str]] = {
     "string_too_short": "a text of {min_length} or more characters",
     "string_too_long": "a text of {max_length} characters at most",
     "string_pattern_mismatch": "a text of the form {pattern}",
+    "union_tag_invalid": "{discriminator} as one of {expected_tags}",
+    "union_tag_not_found": "a key {discriminator}",
     "too_short": "{min_length} or more entries",
     "too_long": "{max_length} entries at most",
 }

@@ -113,6 +113,9 @@ class Document:
         the options of the command line that changed something in it."""
         known = tuple(location)
         while known and known not in self.places:
+            made = [option for where, option in self.places.items() if where[: len(known)] == known]
+            if made:  # a block that is only there by these options
+                return ", ".join(dict.fromkeys(made))
             known = known[:-1]
         place = self.places.get(known, f"{self.path}:1")
         inside = [

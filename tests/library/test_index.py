@@ -7,9 +7,10 @@ import multiprocessing
 import os
 import shutil
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Self
 
 import pytest
 from tests.library.made_runs import criterion, made_run
@@ -176,6 +177,26 @@ def test_runs_with_odd_names_and_files_do_not_hide_the_others(tmp_path: Path) ->
     assert sum(bool(run.problem) for run in found.values()) >= 7
     for run in found.values():
         json.dumps(run.as_data(), ensure_ascii=False).encode()
+
+
+def test_a_folder_that_ends_while_it_is_read_hides_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made_run(tmp_path)
+    (tmp_path / "odd").mkdir()
+
+    class Ends:
+        """What `os.scandir` gives of a folder of /proc that may be opened and not read."""
+
+        def __enter__(self) -> Self:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def __iter__(self) -> Iterator[os.DirEntry[str]]:
+            raise PermissionError
+
+    read = os.scandir
+    monkeypatch.setattr(os, "scandir", lambda path: Ends() if Path(path).name == "odd" else read(path))
+    assert len(Library(tmp_path).runs()) == 1
 
 
 def test_a_folder_that_can_not_be_written_is_listed_all_the_same(

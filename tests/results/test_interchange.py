@@ -93,6 +93,15 @@ def test_what_a_format_does_not_hold_is_told_and_written_only_when_asked(tmp_pat
     assert len(list(read_trace(tmp_path / "b.trc"))) == 3
 
 
+@pytest.mark.parametrize("suffix", ["log", "asc", "blf", "trc"])
+def test_a_trace_without_a_frame_is_named_in_place_of_what_would_be_written(tmp_path: Path, suffix: str) -> None:
+    (tmp_path / "empty.log").write_text("")
+    done = hilbench("convert", tmp_path / "empty.log", tmp_path / f"x.{suffix}")
+    assert done.returncode == 2
+    assert done.stderr == f"hilbench: {tmp_path / 'empty.log'}: no frame in it, expected a trace\n"
+    assert not (tmp_path / f"x.{suffix}").exists()
+
+
 def test_a_last_line_without_an_end_is_converted_and_told(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text(CANDUMP.removesuffix("\n"))
     done = hilbench("convert", tmp_path / "a.log", tmp_path / "b.log")

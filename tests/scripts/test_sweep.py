@@ -45,6 +45,9 @@ def test_lists_are_combined_and_ranges_are_sampled_evenly() -> None:
         ("a=3..1:4", None, "expected FROM below TO"),
         ("a=1..x", None, "in numbers"),
         ("a=1..3", None, "--samples: expected together with a range"),
+        ("a=1..9:1000000000", None, "a COUNT of 2 to 10000"),
+        ("a=1..inf:3", None, "expected FROM below TO"),
+        ("a=1..3", 10**9, "1000000000 runs in all, expected 10000 at most"),
         ("a=1,3", 5, "--samples: expected together with a range"),
     ],
 )

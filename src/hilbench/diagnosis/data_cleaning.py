@@ -126,7 +126,8 @@ def mended(
     time_s = recording.time_s
     channels = {name: np.asarray(v, np.float64) for name, v in recording.channels.items() if name != TIME}
     table = _Table(time_s, channels, np.zeros(len(time_s), bool))
-    recording.require([name for name in table.named(_READ) if _mostly_missing(channels[name])], place)
+    missing = {name: np.mean(~np.isfinite(values)) if len(values) else 0.0 for name, values in channels.items()}
+    recording.require([name for name in table.named(_READ) if missing[name] > _MOST_LEFT_OUT], place)
     steps: Sequence[Callable[[_Table], _Table]] = (
         lambda t: _timed(t, place),
         lambda t: _in_order(t, place),
@@ -152,10 +153,6 @@ def mended(
         )
     whole = replace(recording, channels={TIME: table.t_s, **table.channels})
     return Mended(whole, table.left_out, list(table.repairs))
-
-
-def _mostly_missing(values: Array) -> bool:
-    return len(values) > 0 and float(np.mean(~np.isfinite(values))) > _MOST_LEFT_OUT
 
 
 def _timed(table: _Table, place: str | Path) -> _Table:

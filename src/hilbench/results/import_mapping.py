@@ -145,18 +145,13 @@ def _columns(path: Path, file: TextFile, report: Callable[[str], None]) -> dict[
         except ValueError:
             texts = [str(text) for text in table[name]]
             found = next((text for text in texts if not _NUMBER_OR_DATE.match(text)), texts[0])
-            read = pandas.to_timedelta if _TIME_OF_DAY.match(found) else _dates
+            dates = partial(pandas.to_datetime, format="ISO8601", utc=True)
+            read: Callable[[Any], Any] = pandas.to_timedelta if _TIME_OF_DAY.match(texts[0]) else dates
             with suppress(ValueError, TypeError):  # other text: no channel
                 times = read(table[name])
                 found = ((times - times.iloc[0]) / pandas.Timedelta("1s")).to_numpy(np.float64)
         columns[str(name).strip()] = found
     return columns
-
-
-def _dates(texts: Any) -> Any:
-    import pandas
-
-    return pandas.to_datetime(texts, format="ISO8601", utc=True)
 
 
 def _is_row_of_units(line: str, file: TextFile) -> bool:

@@ -201,6 +201,8 @@ def convert_trace(source: Path, target: Path, note: Callable[[str], None], *, al
     nothing is written. Raises UnusableInputError.
     """
     channels = _Channels(named=trace_format(target) == ".log")
+    if next(read_messages(source), None) is None:
+        raise UnusableInputError(source, "no frame in it, expected a trace")
     count, lost = 0, Counter[str]()
     with written_whole(target) as partial:
         with _complaints(_ignore):

@@ -23,6 +23,7 @@ from hilbench.topology.config import BenchConfig
 
 #: Files of which a config is made, at most, each counted as often as it is included.
 _MOST_FILES = 100
+_MOST_KEYS = 50  # one below the other
 
 
 class RecordingConfig(Block):
@@ -232,7 +233,7 @@ def parse_change(text: str) -> tuple[tuple[str | int, ...], Any]:
     """
     path, equals, value = text.partition("=")
     keys = [key.strip() for key in path.split(".")]
-    if not equals or not all(keys):
+    if not equals or not all(keys) or len(keys) > _MOST_KEYS:
         raise UnusableInputError("--set", f"{text!r}, expected KEY=VALUE such as machine.web.youngs_modulus_Pa=9e9")
     location = tuple(int(key) if key.isdecimal() else key for key in keys)
     return location, strict_yaml.parse_value(value.strip(), f"--set {text}")

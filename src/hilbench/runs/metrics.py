@@ -199,7 +199,8 @@ def judge(channels: Channels, *, journal: Sequence[Event] = ()) -> Judgement:
     events = find_events(channels, journal)
     time_s = np.asarray(channels["t_s"], np.float64)
     marks = [event for event in events if of_open_loop(event)]
-    ending = [event for event in events if event not in marks and not _is_its_work(event, machine)]
+    motion = [e for e in events if machine.moves_always and e.kind == "ramp" and e.of(machine.speed.path) is not None]
+    ending = [event for event in events if event not in marks and event not in motion]
     events = [event for event in events if event in ending or event in journal]
     steps = [event for event in events if event.kind == "step"]
     if steps:
@@ -216,11 +217,6 @@ def judge(channels: Channels, *, journal: Sequence[Event] = ()) -> Judgement:
     if inside:
         window = slice(int(np.searchsorted(time_s, max(inside))), window.stop)
     return Judgement([_judge(machine, Segment(channels, window, None, marks), 0)], events, machine)
-
-
-def _is_its_work(event: Event, machine: MachineMetrics) -> bool:
-    """True if an event is no more than the motion that the machine is always in."""
-    return machine.moves_always and event.kind == "ramp" and event.of(machine.speed.path) is not None
 
 
 def _window(machine: MachineMetrics, channels: Channels, time_s: Array) -> slice | None:

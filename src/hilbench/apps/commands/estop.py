@@ -104,7 +104,8 @@ def everything() -> tuple[list[Target], bool]:
     others = set()
     known, complete = _holders_and_bus()
     for claimed in known:
-        if _may_stop(claimed):
+        # An embedded bus is its user's and root's; a CAN interface is everybody's, and so is who does not say.
+        if not claimed.place.startswith("embedded:") or claimed.uid < 0 or os.getuid() in (claimed.uid, 0):
             found.setdefault(claimed.place, []).append(claimed)
         else:
             others.add(f"{claimed.place}: left alone, only {claimed.user} or root can stop it")
@@ -130,11 +131,6 @@ def _holders_and_bus() -> tuple[list[Holder], bool]:
     except BusError as error:
         print(f"hilbench: NOT ALL BENCHES ARE KNOWN: {error}", file=sys.stderr)
         return [], False
-
-
-def _may_stop(claimed: Holder) -> bool:
-    """An embedded bus is its user's and root's; a CAN interface is everybody's, and so is who does not say."""
-    return not claimed.place.startswith("embedded:") or claimed.uid < 0 or os.getuid() in (claimed.uid, 0)
 
 
 def _stop(target: Target) -> Outcome:

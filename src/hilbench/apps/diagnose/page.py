@@ -83,17 +83,20 @@ def write_diagnosis_page(shown: Found, title: str, path: Path, config: Path | No
         not_compared=shown.not_compared,
         where=[(w.signal, w.condition, w.when, f"{100.0 * w.share_of_gap:.0f} %") for w in found.where],
         left=[(m.signal, m.condition, m.detail, number(m.excess, 3)) for m in found.unexplained],
-        blind=[(_place(b), b.experiment, _visible(b)) for b in found.unobservable],
+        blind=[
+            (
+                _place(b),
+                b.experiment,
+                "never" if b.smallest_visible is None else f"{number(b.smallest_visible, 3)} {b.unit}",
+            )
+            for b in found.unobservable
+        ],
         config=config,
     )
 
 
 def _place(effect: NamedEffect | Unobservable) -> str:
     return effect.place.text
-
-
-def _visible(effect: Unobservable) -> str:
-    return "never" if effect.smallest_visible is None else f"{number(effect.smallest_visible, 3)} {effect.unit}"
 
 
 def _effects(found: Diagnosis, *, changes: bool) -> list[tuple[str, ...]]:

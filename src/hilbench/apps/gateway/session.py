@@ -81,7 +81,7 @@ class Session:
             "lss_switch_sel": self._lss_select,
             "lss_set_node": self._lss_set_node,
             "lss_conf_bitrate": self._lss_bit_rate,
-            "lss_store": self._lss_store,
+            "lss_store": lambda _: self._lss_done(lambda lss: lss.store(), GatewayError.LSS_STORE),
             "lss_get_node": self._lss_get_node,
             "_lss_fastscan": self._lss_fast_scan,
             **dict.fromkeys(_NMT, lambda request: self._command(request, _NMT[request.words[0]])),
@@ -210,9 +210,6 @@ class Session:
         if table != 0 or index not in (0, 1, 2, 3, 4, 6, 7, 8):
             raise RequestError(GatewayError.LSS_BIT_RATE, f"bit rate {index} of table {table}")
         return self._lss_done(lambda lss: lss.give_bit_rate(index), GatewayError.LSS_BIT_RATE)
-
-    def _lss_store(self, _request: Request) -> str:
-        return self._lss_done(lambda lss: lss.store(), GatewayError.LSS_STORE)
 
     def _lss_get_node(self, _request: Request) -> str:
         found: list[int | None] = []

@@ -159,21 +159,21 @@ def _run_folders(base: Path, known: Iterable[str]) -> Iterator[tuple[str, str]]:
     while waiting:
         below, depth = waiting.pop()
         try:
-            entries = os.scandir(base / below)
+            with os.scandir(base / below) as found:
+                entries = list(found)
         except OSError:  # it has gone, or is somebody else's
             continue
-        with entries:
-            for entry in entries:
-                if entry.name.startswith(".") or not entry.is_dir(follow_symlinks=False):
-                    continue
-                path = f"{below}{entry.name}"
-                shown = os.fsencode(path).decode(errors="backslashreplace")  # what is no UTF-8 can't be kept
-                if shown in known or is_run(entry.path):
-                    stamp = _stamp(entry.path)
-                    if stamp is not None:
-                        yield shown, stamp
-                elif depth < _DEEPEST:
-                    waiting.append((f"{path}/", depth + 1))
+        for entry in entries:
+            if entry.name.startswith(".") or not entry.is_dir(follow_symlinks=False):
+                continue
+            path = f"{below}{entry.name}"
+            shown = os.fsencode(path).decode(errors="backslashreplace")  # what is no UTF-8 can't be kept
+            if shown in known or is_run(entry.path):
+                stamp = _stamp(entry.path)
+                if stamp is not None:
+                    yield shown, stamp
+            elif depth < _DEEPEST:
+                waiting.append((f"{path}/", depth + 1))
 
 
 def is_run(path: str | Path) -> bool:

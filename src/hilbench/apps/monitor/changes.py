@@ -91,11 +91,6 @@ def _syncs(frames: list[Frame]) -> int:
     return sum(frame.can_id == SYNC for frame in frames)
 
 
-def somebody_here() -> str:
-    """Name of the user at this terminal, as written in a journal."""
-    return f"{user_name('somebody')} (terminal)"
-
-
 class OperatorJournal:
     """Notes them in the run on a bus, where its folder is among `runs` on this machine; `channel` is the bus' name in a
     trace, `cycle_ns` the bench's cycle."""
@@ -103,7 +98,7 @@ class OperatorJournal:
     def __init__(self, runs: Path, channel: str, cycle_ns: int) -> None:
         self._runs, self._channel, self._cycle_ns = runs, channel, cycle_ns
         self._run: LiveRun | None = None
-        self.who = somebody_here()
+        self.who = f"{user_name('somebody')} (terminal)"
 
     def note(self, text: str, value: float = 0.0) -> None:
         """Somebody has done this now; without a run that is known it is nowhere noted.

@@ -286,16 +286,12 @@ class Dashboard(App[None]):
         if not values:
             now = Condition.NOT_RECEIVED.value
         elif picture.twin_is_alive:
-            form = f".{_digits(max(map(abs, values)))}f"
+            largest = max(map(abs, values))
+            form = f".{1 if largest >= _SMALL or largest == 0.0 else 2 - floor(log10(largest))}f"
             now = f"{values[-1]:{form}} {trend.unit}  ({least:{form}} to {max(values):{form}})"
         else:
             now = (Condition.STALE if picture.condition is Condition.RUNNING else picture.condition).value
         self.query_one(f"#{trend.signal}-value", Static).update(f"{trend.heading}: {now}")
-
-
-def _digits(largest: float) -> int:
-    """Decimals of a trend: one, and more of what is small."""
-    return 1 if largest >= _SMALL or largest == 0.0 else 2 - floor(log10(largest))
 
 
 def _figures(picture: BusPicture, dropped: int | None) -> str:

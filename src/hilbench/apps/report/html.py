@@ -79,11 +79,6 @@ def found_pictures(result: Result) -> list[Picture]:
     return [Picture("found", _TITLE, _CAPTION, drawing=drawing)]
 
 
-def found_rows(result: Result) -> list[tuple[str, ...]]:
-    """A row for each effect, as `COLUMNS`."""
-    return [tuple(_row(each)) for each in result.found or []]
-
-
 def _row(found: FoundRecord) -> Iterator[str]:
     yield number(found.t_s, 6)
     yield ("no longer " if found.gone else "") + found.effect.replace("_", " ")
@@ -183,7 +178,7 @@ def write_report(run_folder: RunFolder) -> Path:
         pictures=[*shown.run, *shown.zooms],
         found_pictures=shown.found,
         found_columns=COLUMNS,
-        found=found_rows(result),
+        found=[tuple(_row(each)) for each in result.found or []],
         estimated_columns=ESTIMATED_COLUMNS,
         estimated=estimated_rows(result),
         warnings=_warnings(result),

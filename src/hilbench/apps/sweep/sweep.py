@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import json
+import math
 import os
 import select
 from collections import deque
@@ -39,6 +40,7 @@ from hilbench.runs.config import load_with_overrides, parse_change
 
 _DEFINITION, _LOG, _TABLE, _PARQUET = "sweep.json", "results.jsonl", "results.csv", "results.parquet"
 _LAST_WORDS = 300
+_MOST_RUNS = 10_000
 _RUN = "run"
 #: So many cycles have called all that a run calls in its cycles.
 _LOADING_CYCLES = 50
@@ -163,8 +165,8 @@ def parse_axis(text: str) -> Axis:
         number = int(count) if colon else 0
     except ValueError:
         raise UnusableInputError(place, "expected FROM..TO or FROM..TO:COUNT in numbers") from None
-    if not low < high or (colon and number < 2):
-        raise UnusableInputError(place, "expected FROM below TO, and a COUNT of at least 2")
+    if not 0.0 < high - low < math.inf or (colon and not 2 <= number <= _MOST_RUNS):
+        raise UnusableInputError(place, f"expected FROM below TO, and a COUNT of 2 to {_MOST_RUNS}")
     if not colon:
         return Axis(path, low=low, high=high)
     return Axis(path, tuple(f"{value:.12g}" for value in np.linspace(low, high, number)))
@@ -173,12 +175,15 @@ def parse_axis(text: str) -> Axis:
 def points(axes: Sequence[Axis], samples: int | None, seed: int) -> list[dict[str, str]]:
     """Changes of each run: the grid of all lists, each with `samples` points of the ranges (Latin hypercube).
 
-    Raises UnusableInputError for ranges without a number of samples, or the other way round.
+    Raises UnusableInputError for ranges without a number of samples, or the other way round, and for too many runs.
     """
     lists = [axis for axis in axes if axis.values]
     ranges = [axis for axis in axes if not axis.values]
     if bool(ranges) != (samples is not None):
         raise UnusableInputError("--samples", "expected together with a range KEY=FROM..TO, and only then")
+    count = math.prod(len(axis.values) for axis in lists) * (samples or 1)
+    if count > _MOST_RUNS:
+        raise UnusableInputError("--vary", f"{count} runs in all, expected {_MOST_RUNS} at most")
     drawn: list[dict[str, str]] = [{}]
     if ranges:
         from scipy.stats import qmc

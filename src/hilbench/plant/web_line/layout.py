@@ -203,10 +203,6 @@ class Layout:
         return cls(int(axes), int(motors), int(spans))
 
     @property
-    def parameter_size(self) -> int:
-        return self.first_span + self.spans * SP_SIZE
-
-    @property
     def first_motor(self) -> int:
         """Offset of the motor rows in the parameters."""
         return W_SIZE + self.axes * A_SIZE
@@ -375,7 +371,7 @@ def write_load_motor(row: Any, motor: LoadMotorParameters, axis: int, rad_per_m:
 
 def new_parameters(layout: Layout, sample_time_s: float, substeps: int, kind: MachineKind) -> Vector:
     """Parameter vector of a line without parts and effects."""
-    parameters = np.zeros(layout.parameter_size)
+    parameters = np.zeros(layout.first_span + layout.spans * SP_SIZE)
     counts = layout.axes, layout.motors, layout.spans
     parameters[: W_SAMPLE_TIME_S + 2] = *counts, sample_time_s, substeps
     clear_effects(parameters, kind)

@@ -160,15 +160,11 @@ class Listener:
             key = (self._generation, event.start_s, event.changes[0].path if event.changes else event.text)
             self.events.put(key, Entry(event.start_s, "bench", str(event)))
 
-    @property
-    def _has_report(self) -> bool:
-        """True if all is known of the end: the report is written after the result."""
-        return self._ended is not None and self._ended["report"] is not None
-
     def _look_at_folder(self) -> None:
         """Look for the result of a run that has ended."""
         now_s = time.monotonic()
-        if self._folder is None or self._has_report or now_s < self._look_again_s:
+        reported = self._ended is not None and self._ended["report"] is not None  # it is written after the result
+        if self._folder is None or reported or now_s < self._look_again_s:
             return
         if self._picture.condition is Condition.RUNNING:
             return
