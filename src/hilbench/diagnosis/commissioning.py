@@ -291,10 +291,10 @@ _SAME_RADIUS: Final = 0.01
 
 
 def has_own(term: Term, model: Machine) -> bool:
-    """Whether there is something of its own to be told of it.
+    """True if the data have information on this term by itself.
 
-    What is of all spans is told of each. Rollers of one radius keep their angles to each other, so that the web shows
-    how far each is out of true beyond the first: of that one nothing is told then.
+    What is of all spans is stated of each. Rollers of one radius keep their angles to each other, so that the web shows
+    how far each is out of true beyond the first: of that one nothing is stated then.
     """
     if term.effect.per_section and term.section is None and model.span_count > 1:
         return False

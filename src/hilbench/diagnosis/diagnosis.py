@@ -73,7 +73,7 @@ class Value:
 
     @classmethod
     def of(cls, value: float, ci95: tuple[float, float], unit: str, before: float | None = None) -> Value:
-        """With as many digits as any interval needs."""
+        """Value rounded to as many digits as any interval needs."""
         low, high = ci95
         was = None if before is None else rounded(before)
         return cls(rounded(value), (rounded(low), rounded(high)), unit, was)
@@ -154,7 +154,7 @@ class Unobservable:
 
     @classmethod
     def of(cls, term: Term, smallest: float | None, experiment: str, **shape: float) -> Unobservable:
-        """What a term stands for; smallest: strength that could be seen, infinite or None where none could."""
+        """Unobservable effect of a term; smallest: strength that could be seen, infinite or None where none could."""
         unit = term.effect.parameter(term.effect.strength[0]).unit
         visible = None if smallest is None or not np.isfinite(smallest) else rounded(float(smallest))
         return cls(term.effect.id, term.axis, visible, unit, experiment, term.section, **shape)
@@ -173,7 +173,7 @@ class Unobservable:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All that was found."""
+    """Result of a diagnosis."""
 
     verdict: str
     effects: list[NamedEffect]
@@ -268,7 +268,7 @@ def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce
 
 @dataclass(frozen=True)
 class _Verdict:
-    """What the fitted terms leave: the terms with their uncertainty, and what nothing explains."""
+    """Verdict on the fitted terms: the terms with their uncertainty, and what nothing explains."""
 
     judged: _Judged
     floors: dict[int, float]  #: of the torques, by signal
@@ -438,7 +438,7 @@ class _Judged:
 
 
 def _judged_by_noise(space: Space, selection: Selection) -> _Judged:
-    """By the noise that a right model leaves, which is white."""
+    """Uncertainty by the noise that a right model leaves, which is white."""
     trained, white = selection.fit, selection.candidates.whitening
     samples = np.count_nonzero(space.split.train | space.split.test) * len(space.predictor.names)
     while True:
@@ -474,7 +474,7 @@ def _perhaps_neutral(found: Fit, quantile: float) -> int | None:
 
 
 def _judged_by_rest(space: Space, selection: Selection) -> _Judged:
-    """By the spectrum of what is left, where that is model error more than noise."""
+    """Uncertainty by the spectrum of the residual, where that is model error more than noise."""
     final = selection.fit
     trained = fit(space, weights(space, final.terms), final.terms)
     known = stated_uncertainty(space, final)
@@ -555,7 +555,7 @@ def _experiment(model: Machine, effect: Effect, other: str) -> str:
 
 
 def rounded(value: float) -> float:
-    """To as many digits as any interval needs."""
+    """Round to as many digits as any interval needs."""
     return float(f"{value:.{_DIGITS}g}")
 
 

@@ -53,9 +53,9 @@ def uncertainty_of(space: Space, found: Fit, rows: NDArray[np.bool_] | None = No
 
 
 def stated_uncertainty(space: Space, found: Fit) -> Uncertainty:
-    """The same with an inertia of the model that is a guess, where no term says how far it is off, and with what noise
-    in the accelerations of coupled axes moves: it hardly shows in them, and what goes with them nearly makes up for one
-    another. On one steady sine by what repeats itself alone."""
+    """Uncertainty of a fit, also by an inertia of the model that is a guess, where no term says how far it is off, and
+    by noise in the accelerations of coupled axes: it hardly shows in them, and their columns are nearly collinear. On
+    one steady sine by what repeats itself alone."""
     known, predictor = uncertainty_of(space, found), space.predictor
     if not isinstance(predictor, OnMeasuredMotion) or not found.terms:
         return known

@@ -1,12 +1,12 @@
-"""Which terms a search on measured motion offers first, cannot tell by the motion, or finds in one size only here.
+"""Rules of a search on measured motion: terms offered first, not distinguishable by the motion, of one size only here.
 
 An effect has one size. A substitute for something else has another wherever that is another: in other frequency bands,
 and in other stretches of a recording.
 
 One steady sine of a lone axis passes each place with one speed and one acceleration. There what grows with the size of
 the speed goes with the position, as a ripple of an order that a short arc does not tell does; and what is late, or goes
-with the load, is friction that turns over a way, or grows with the speed. Of the laws that are no simpler than these
-nothing is offered of which they leave little.
+with the load, is friction that turns over a displacement, or grows with the speed. Of the laws that are no simpler than
+these nothing is offered of which they leave little.
 """
 
 from __future__ import annotations
@@ -161,8 +161,8 @@ def in_both_halves(space: Space, current: Fit) -> Fit:
 
 
 def _apart(one: Fit, other: Fit, sure: Uncertainty, other_sure: Uncertainty) -> list[float]:
-    """By how many standard deviations two fits of the same terms differ in the strength of each, beyond a share of it
-    that makes no other effect of it; 0 of a wave, or what swings at a frequency of its own."""
+    """Difference of two fits of the same terms in the strength of each, in standard deviations, beyond a share of it
+    that makes no other effect of it; 0 of a wave, or what oscillates at a frequency of its own."""
     deviations = np.maximum(np.hypot(sure.deviations, other_sure.deviations), 1e-300)
     found = []
     for a, b, part in zip(one.terms, other.terms, parts(one.terms), strict=True):
@@ -174,12 +174,12 @@ def _apart(one: Fit, other: Fit, sure: Uncertainty, other_sure: Uncertainty) -> 
     return found
 
 
-#: Share of a response that what such a motion can't tell from it has to leave of it.
+#: Share of a response that what such a motion can't distinguish from it has to leave of it.
 _OWN_SHARE: Final = 0.25
 
 
 def is_in_known_band(space: Space, term: Term) -> bool:
-    """False of a term that swings at a frequency at which the measured motion is noise more than motion."""
+    """False of a term that oscillates at a frequency at which the measured motion is noise more than motion."""
     predictor = space.predictor
     if not term.swings or not isinstance(predictor, OnMeasuredMotion):
         return True

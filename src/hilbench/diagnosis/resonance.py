@@ -1,8 +1,8 @@
 """Torsional shaft of a lone axis: what is right beside one, and from which frequency on none could be seen.
 
-How it swings when a recording begins no recording says, so rows count once that has faded. And in a steady motion
+How it oscillates when a recording begins no recording says, so rows count once that has faded. And in a steady motion
 friction that turns over late after each reversal is a torque that is late, as that of a shaft is: how friction turns
-over is looked at again beside what swings.
+over is looked at again beside what oscillates.
 
 A resonance is looked at with some frequencies; of one between them the search sees what the nearest explains, beside
 all that was found and another inertia. Smooth motion hardly twists a shaft, and where it twists it slowly the twist
@@ -31,16 +31,16 @@ from hilbench.plant.effect import Domain, ProbeOver
 
 Array = NDArray[np.float64]
 
-#: Lines of the spectrum by which a resonance has to be told at least.
+#: Lines of the spectrum by which a resonance has to be seen at least.
 _LEAST_LINES: Final = 4.0
-#: Time constants after which a swing has faded, and the share of a recording that is left out for it at most, behind
-#: its beginning and its gaps.
+#: Time constants after which an oscillation has faded, and the share of a recording that is left out for it at most,
+#: behind its beginning and its gaps.
 _FADED: Final = 4.0
 _MOST_FORGOTTEN: Final = 0.5
 
 
 def with_torsional_mode(space: Space, terms: list[Term]) -> OnMeasuredMotion | None:
-    """The prediction that is right beside those of the terms that swing; None without any, or of a free run."""
+    """Prediction beside the torsional modes among the terms; None without any, or of a free run."""
     torsional = [term for term in terms if term.swings]
     if not torsional or not isinstance(space.predictor, OnMeasuredMotion):
         return None
@@ -57,7 +57,7 @@ def with_torsional_mode(space: Space, terms: list[Term]) -> OnMeasuredMotion | N
 
 
 def untold(space: Space, found: Fit) -> list[Term]:
-    """The terms that swing of which the motion has too few frequencies: share, frequency, damping and another inertia
+    """Torsional modes of which the motion has too few frequencies: share, frequency, damping and another inertia
     or friction may make up for each other in each of them."""
     rows, result = space.predictor.rows, []
     derivatives = space.point(found.terms, found.residual).derivatives
@@ -89,8 +89,8 @@ class Unseen:
 
 
 def first_unseen(space: Space, proposer: Proposer, selection: Selection, deviations: float) -> Iterator[Unseen]:
-    """Of each effect with a frequency that neither model nor selection has; nothing of one that would be seen at all
-    frequencies that are looked at.
+    """First unseen frequency of each effect with one that neither model nor selection has; nothing of one that would be
+    seen at all frequencies that are looked at.
 
     deviations: of the noise, from how many on something is seen.
     """

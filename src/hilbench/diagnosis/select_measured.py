@@ -1,6 +1,6 @@
 """Rules of a search where a right model would not leave noise alone: prediction on measured motion.
 
-There the torque is nearly linear in every strength, so that one Gram matrix tells what any term explains beside any
+There the torque is nearly linear in every strength, so that one Gram matrix shows what any term explains beside any
 others. What is left at the end is never noise; its spectrum is taken for one (`hilbench.diagnosis.residual_noise`). A
 term is certain when
 
@@ -59,9 +59,9 @@ _STAYING_SHARE: Final = 0.04
 #: Share of a response that those of the present terms leave of it, below which it says nothing of its own.
 _OWN_SHARE: Final = 0.01
 #: The same of a wave's response beside those of the laws of motion: where it has the motion's own frequency all along
-#: (a small swing about a steady speed), inertia and friction make a wave as well.
+#: (a small oscillation about a steady speed), inertia and friction make a wave as well.
 _OWN_SHARE_OF_WAVE: Final = 0.25
-#: Standard deviation of the torque's size over its mean from which it changes by enough to tell what goes with it.
+#: Standard deviation of the torque's size over its mean from which it changes by enough to show what goes with it.
 _CHANGING: Final = 0.5
 #: Additions that are fitted in full at a step.
 _CONTENDERS: Final = 6
@@ -83,15 +83,15 @@ class MeasuredRules:
         return fitted(self.space, terms)
 
     def pruned(self, current: Fit, white: Whitening) -> Fit:
-        """As it is: with a gross error of the model nothing is certain, and nothing superfluous."""
+        """Return the fit as it is: with a gross error of the model nothing is certain, and nothing superfluous."""
         return current
 
     def continued(self, best: Fit, offered: CandidateSet) -> tuple[Fit, CandidateSet, bool]:
-        """From the candidates at the new model; there is always more."""
+        """Continue with the candidates at the new model; there is always more."""
         return best, self.candidates(best), True
 
     def judged(self, current: Fit, offered: CandidateSet) -> Selection:
-        """What is certain given all others."""
+        """Select the terms that are certain given all others."""
         steady = in_both_halves(self.space, in_every_band(self.space, current))
         wandering = {term.place for term in current.terms} - {term.place for term in steady.terms}
         certain = self._without_superfluous(steady)
@@ -116,7 +116,7 @@ class MeasuredRules:
         return values[..., self.rows]
 
     def _side_bands(self, current: Fit) -> SideBands:
-        """Those of the terms that are there."""
+        """Side bands of the terms of a fit."""
         if self._bands is None or self._bands[0] is not current:
             self._bands = current, SideBands(self.space, self.proposer, current.terms)
         return self._bands[1]
@@ -220,7 +220,7 @@ class MeasuredRules:
         return None
 
     def _wave_gain(self, problem: StretchedProblem, mine: list[int], group: list[int]) -> float:
-        """What a wave explains with free phases; where the size of the torque hardly changes with free amplitudes, too.
+        """Gain of a wave with free phases; where the size of the torque hardly changes with free amplitudes, too.
 
         There what goes with the torque, and what goes with the direction, are one.
         """
@@ -290,7 +290,7 @@ class MeasuredRules:
         return current
 
     def _shares(self, current: Fit) -> list[float]:
-        """By which share each term lowers what is left without it, the others free to adapt.
+        """Share by which each term lowers what is left without it, the others free to adapt.
 
         Of what is no wave beside the side bands of the waves: a delay makes up for a phase that changes with the speed.
         """
@@ -332,7 +332,7 @@ class MeasuredRules:
     def _alike(
         self, current: Fit, term: Term, left: float, offered: CandidateSet, known: set[Place]
     ) -> Iterator[Place]:
-        """Effects of which it is known that some recordings can't tell them from the term's, and these can't.
+        """Effects that some recordings can't distinguish from the term's, and these can't.
 
         Beside the term their responses say nothing of it (what is fed forward goes with an inertia that the term has
         taken away), so each is fitted in its place.
@@ -350,7 +350,7 @@ class MeasuredRules:
 
     def _with_first_of_alike(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> Fit:
         """The fit with the first in the table of each term and what is alike and tied with it: an inertia that the
-        torque lacks is named, not one of the ways in which it may come to lack it."""
+        torque lacks is named, not one of the reasons why it may lack it."""
         for term in current.terms:
             instead = [
                 other
@@ -365,7 +365,7 @@ class MeasuredRules:
         return current
 
     def _untold(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> list[Term]:
-        """A candidate of each place of which this motion can tell none, and that is tied with nothing."""
+        """A candidate of each place of which this motion can distinguish none, and that is tied with nothing."""
         is_identified = identifiable_on_one_sine(self.space, current.terms, offered)
         known = {*(term.place for term in current.terms), *chain.from_iterable(tied.values())}
         known |= {term.place for term in compress(offered.candidates, is_identified)}

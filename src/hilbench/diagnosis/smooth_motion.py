@@ -54,7 +54,7 @@ def low_passed(values: Array, period_s: float, band_Hz: tuple[float, float]) -> 
 
 
 def _passed(frequency: Array, band_Hz: tuple[float, float]) -> Array:
-    """All up to the first of `band_Hz`, nothing beyond the second."""
+    """Gain of the filter: 1 up to the first of `band_Hz`, 0 beyond the second."""
     low, high = band_Hz
     share = np.clip((frequency - low) / max(high - low, 1e-9), 0.0, 1.0)
     return np.asarray(np.cos(0.5 * np.pi * share) ** 2)

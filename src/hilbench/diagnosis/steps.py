@@ -65,7 +65,7 @@ _TIME_LEVELS: Final = 5
 _CLOSER: Final = np.linspace(-0.75, 0.75, 7)
 _STEP_PEAKS, _APART = 2, 2.5
 #: How often the ends of what grows over a while are looked for more closely, and among how many times. The mean of
-#: steps stands for a ramp where they are close to each other beside the web's ringing.
+#: steps is taken for a ramp where they are close to each other beside the web's ringing.
 _RAMP_LEVELS, _RAMP_TIMES = 2, 24
 #: Information on a strength below which these data say nothing of it.
 _LEAST_INFORMATION: Final = 1e-6
@@ -132,7 +132,7 @@ class Steps:
         return Fit(terms, residual, float("nan"), float("nan"), np.empty((0, 0)))
 
     def again(self, current: Fit, white: Whitening) -> Fit:
-        """The same terms fitted again, weighted by the noise as it is seen now.
+        """Fit the same terms again, weighted by the noise as it is seen now.
 
         What sets in at once is put to the time that is best beside the others; what has grown so fast that it might as
         well have set in at once does.
@@ -153,7 +153,7 @@ class Steps:
         return found.train + found.test + price(found.terms, self.samples)
 
     def candidates(self, current: Fit, known: CandidateSet | None = None) -> CandidateSet:
-        """All candidates at a model, each with its response.
+        """Candidates at a model, each with its response.
 
         Searched ones need to know the noise first, which is seen when every plain candidate has had its say; then the
         noise is seen once more, beside all of them. known: a set at another model (`carried_over`); of its plain
@@ -256,7 +256,7 @@ class Steps:
     def _gradual(
         self, effect: Effect, current: Fit, white: Whitening, known: OnsetResponses, section: Section | None
     ) -> list[Term]:
-        """What grows between two of the known times, those that would explain most; then between closer ones.
+        """Terms that grow between two of the known times, those that would explain most; then between closer ones.
 
         The response of a ramp is the mean of those of the steps within it, so no ramp need be simulated.
         """
@@ -337,7 +337,7 @@ class Steps:
         return exceeds_noise(current.residual, self.rows, floors)
 
     def promises(self, offered: CandidateSet) -> bool:
-        """Whether anything is left that a candidate could explain, or that none can."""
+        """True if anything is left that a candidate could explain, or that none can."""
         if self.ranked(offered, offered.residual, offered.own):
             return True
         whitened = self.masked(offered.whitening.apply(offered.residual))
@@ -403,9 +403,9 @@ class Steps:
         return term
 
     def _is_confirmed(self, white: Whitening, current: Fit, test: float, found: Fit) -> bool:
-        """Whether rows that no fit has seen speak for an addition, too.
+        """True if rows that no fit has seen speak for an addition, too.
 
-        Where it hardly shows on the held-out rows (creep speed that came once, say) they can't tell. Then what was
+        Where it hardly shows on the held-out rows (creep speed that came once, say) they can't decide. Then what was
         found in either half of the rows on which it shows has to hold in the other half.
         """
         rows = self.space.split
@@ -423,7 +423,7 @@ class Steps:
         return self._held_out_agrees(gain, 0.0)
 
     def _held_out_agrees(self, before: float, after: float) -> bool:
-        """Whether a fall of the sum of squares is beyond chance.
+        """True if a fall of the sum of squares is beyond chance.
 
         The whitened noise has variance 1, so the standard error of a gain is 2·√gain.
         """
@@ -436,7 +436,7 @@ class Steps:
         """Candidates, and pairs, that promise most, and by `least` more than their price; with start values.
 
         residual: raw (signals, n); own: raw columns (J, signals, n) of the terms that are there; most: so many single
-        ones. By default a few, of those that promise the same the first: what these data can't tell apart at all would
+        ones. By default a few, of those that promise the same the first: what these data can't distinguish at all would
         fill all seats, and is looked at among the alternatives.
         """
         problem, mine = self._linear(offered, residual, own), list(range(len(own)))
@@ -477,7 +477,8 @@ class Steps:
     def _started(
         problem: StretchedProblem, mine: list[int], *members: tuple[Term, list[int]]
     ) -> tuple[float, list[Term]] | None:
-        """What some candidates leave together, and their start values; None where a bound forbids their sign.
+        """Residual sum of squares of some candidates together, and their start values; None where a bound forbids their
+        sign.
 
         mine: columns of the terms that are there; members: candidates that are added, each with its columns.
         """

@@ -26,7 +26,7 @@ _MOST_FILES = 100
 
 
 class RecordingConfig(Block):
-    """What of the samples is recorded."""
+    """Selection of the samples that are recorded."""
 
     full_rate: Literal["always", "around_events"] = Field(
         default="always",

@@ -24,12 +24,12 @@ def position_path(station: str, quantity: str) -> str:
 
 
 def position_quantity(path: str) -> str:
-    """Which quantity of a position loop a path names; "" for another path."""
+    """Quantity of a position loop that a path names; "" for another path."""
     found = _PATH.fullmatch(path)
     return found[2] if found else ""
 
 
 def positions(stations: tuple[str, ...], pushed: tuple[str, ...]) -> list[str]:
-    """The paths of the loops of these stations; `pushed`: those of them whose force is told ahead."""
+    """The paths of the loops of these stations; `pushed`: those of them whose force is fed forward."""
     paths = [position_path(station, quantity) for station in stations for quantity in (SET_POINT, FEED)]
     return [*paths, *(position_path(station, FORCE_SET_POINT) for station in pushed)]

@@ -26,7 +26,7 @@ _NODE_IDS = range(1, LAST_NODE + 1)
 
 @dataclass(frozen=True)
 class Station:
-    """A node as it shows itself; None: it does not tell, or was not asked."""
+    """A node as it identifies itself; None: it does not, or was not requested to."""
 
     node_id: int
     nmt_state: str | None = None  #: from its heartbeat

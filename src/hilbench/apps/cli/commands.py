@@ -27,7 +27,7 @@ _OWN: Final = (
 
 
 class Commands(TyperGroup):
-    """The commands; what typer itself would end with exit code 1 is told as what it is."""
+    """The commands; an error that typer itself would end with exit code 1 is reported as unusable input."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command. An operating system's refusal is an error like others, whoever's pipe has broken."""

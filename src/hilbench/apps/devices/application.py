@@ -47,7 +47,7 @@ class DrivesApplication:
         return self._faulty[number]
 
     def before_sync(self, behind: int) -> None:
-        """As the clock says, whatever the period of SYNC."""
+        """Advance by the clock, whatever the period of SYNC."""
         self._happen()
         self._rig.before_sync(behind)
 

@@ -1,4 +1,4 @@
-"""`hilbench drift`: what has changed of a stand since its last run."""
+"""`hilbench drift`: changes of a stand since its last run."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def drift(
 
 
 def _write(config: Path, found: Sequence[Drift], keys: Sequence[str]) -> list[str]:
-    """Write what was asked for; returns a line for each change."""
+    """Write the commanded outputs; returns a line for each change."""
     from hilbench.runs.config_text import write_value
 
     possible = {each.key: each for each in found if each.write}

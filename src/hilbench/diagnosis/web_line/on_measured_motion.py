@@ -51,7 +51,7 @@ _WIDER: Final = 1.3
 _OF_NYQUIST: Final = 0.95
 #: Web transports (lengths of the span) after which the strain at the start is forgotten.
 _TRANSPORTS: Final = 4.0
-#: Cycle in which commands change at most, s, and the share of the inertia that torques read in step with it can't tell.
+#: Cycle in which commands change at most, s, and the share of the inertia that torques read in step with it can't show.
 _COMMANDS_S: Final = 0.002
 _IN_STEP: Final = 0.007
 #: Time within a sample of a drive at which its torque may have been read, s.
@@ -63,9 +63,9 @@ class LineOnMeasuredMotion:
 
     Rows are read at one instant for all channels, but not always when they say: what all axes have in common then has
     the noise of that time, what they differ by has not. So mean motion and differences from it are smoothed each for
-    itself, the acceleration of the mean from positions or speeds, whichever tell it better.
+    itself, the acceleration of the mean from positions or speeds, whichever show it better.
 
-    Without all positions the strain is not known: a way that is added up from speeds drifts by more than the web is
+    Without all positions the strain is not known: a travel that is added up from speeds drifts by more than the web is
     stretched. What is left is the sum of the torques, in which the tensions between the rollers are not.
     """
 
@@ -109,7 +109,7 @@ class LineOnMeasuredMotion:
         self.measured = self._discounted(self._mix(measured) - self._by_model)
 
     def _usable(self) -> NDArray[np.bool_]:
-        """Not standstill, where dry friction is not one law; not while the first strain is remembered; not the ends."""
+        """Rows without standstill, where dry friction is not one law, the time of the first strain, and the ends."""
         data, every = self._data, self.every
         reach_s = self._thinning.reach_s + _NEAR_S
         reach = round(reach_s / self._fine_s)
@@ -142,7 +142,7 @@ class LineOnMeasuredMotion:
         return self._thinning.apply(fine, self._whole)
 
     def _in_step(self) -> list[list[Array]]:
-        """Of each torque the shapes, in noise floors, that are known only up to a share: it is read in step with the
+        """Shapes of each torque, in noise floors, that are known only up to a share: it is read in step with the
         drive's cycle (the acceleration), and at some time of a drive's sample (its own rate)."""
         shapes = [
             _IN_STEP * Nm_per_acceleration(self._model, axis) * self._at_rows(self._a[:, axis - 1])
@@ -156,7 +156,7 @@ class LineOnMeasuredMotion:
         return found
 
     def _read_late(self, run: RequiredTorques) -> list[Array]:
-        """By how much each torque (n,) is less where it is read later, by a deviation of that time."""
+        """Fall of each torque (n,) where it is read later, by a deviation of that time."""
         rates = np.gradient(run.tau_Nm[0], self._fine_s, axis=0)
         return [_READ_S * self._at_rows(rates[:, axis - 1]) for axis in self._torques]
 
@@ -257,8 +257,8 @@ class LineOnMeasuredMotion:
         rows = [run.tau_Nm[..., axis - 1] for axis in self._torques] + [run.F_N[..., k - 1] for k in self._tensions]
         stacked = np.stack(rows, axis=1)
         if self.every == 1 and self._whole > 1:
-            # No filter stands before the rows. What is faster than the motion that they can show (a ripple) is answered
-            # by motion that nobody has seen, and hardly by the torque: without it a ripple would fold back.
+            # There is no filter before the rows. What is faster than the motion that they can show (a ripple) is
+            # answered by motion that nobody has seen, and hardly by the torque: without it a ripple would fold back.
             stacked = low_passed(stacked, self._fine_s, self._band_Hz)
         return self._mix(self._thinning.apply(stacked, self._whole))
 
@@ -352,7 +352,7 @@ class _Noise:
 
 
 def sampling_bias_Nm(model: ModelParameters, axis: int, cycle_s: float) -> float:
-    """By how much a torque that is read at the end of each cycle is off its mean, N·m per m/s² of the axis.
+    """Bias of a torque that is read at the end of each cycle against its mean, N·m per m/s² of the axis.
 
     In a ramp the command steps once a cycle while the speed grows steadily: the torque jumps and falls within it, and
     one that is read always at its end, just before the next command, is the least of it.
