@@ -103,7 +103,7 @@ def commissioned(
     data = measured_from(recording, model, place)
     predictor = choice(model, data, emulation).predictor
     space, proposer = Space(model, predictor, data.period_s), Proposer(model, data)
-    terms = [term for term in proposer.plain() if term.effect.id in (*MEASURED, *_BESIDE) and has_own(term, model)]
+    terms = [term for term in proposer.direct() if term.effect.id in (*MEASURED, *_BESIDE) and has_own(term, model)]
     terms += [*_loops(model, proposer), *_once_a_turn(proposer)]
     shares = {
         "torque_scale": 0.01 * errors.torque_scale_pct,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.alternatives import FreeRules
-from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, untold_beside
+from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, unidentifiable_beside
 from hilbench.diagnosis.data_cleaning import Repair
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_interval_s
 from hilbench.diagnosis.fit_with_residual_noise import stated_uncertainty, weights
@@ -32,7 +32,7 @@ from hilbench.diagnosis.residual_analysis import (
     located,
     misfits,
 )
-from hilbench.diagnosis.resonance import first_unseen, untold, with_torsional_mode
+from hilbench.diagnosis.resonance import first_unseen, unidentifiable_modes, with_torsional_mode
 from hilbench.diagnosis.search import Announce, search
 from hilbench.diagnosis.select_measured import MeasuredRules
 from hilbench.diagnosis.selection import Selection
@@ -260,7 +260,8 @@ def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce
     if (settled := with_torsional_mode(space, selection.fit.terms)) is not None:
         chosen, space = replace(chosen, predictor=settled), Space(model, settled, data.period_s)
         selection = search(MeasuredRules(space, proposer, as_simple), announce)
-    if few := untold(space, selection.fit):  # found given the others it is as little identified: once more without
+    # Found given the others a mode is as little identified: once more without.
+    if few := unidentifiable_modes(space, selection.fit):
         proposer = proposer_for(predictor, model, data, {term.effect.id for term in few})
         selection = replace(search(MeasuredRules(space, proposer, as_simple), announce), of_too_few=few)
     return Explained(space, chosen, data, selection)
@@ -336,7 +337,7 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
         where = located(*in_floors(predictor.names, final.residual, floors), predictor.rows, conditions, _ROWS_OF_WHERE)
     depends = misfits(names, scaled, predictor.rows, conditions)
     floor_of = {predictor.names[k]: value for k, value in floors.items()}
-    told = [*selection.of_too_few, *selection.untold]
+    unidentifiable = [*selection.of_too_few, *selection.unidentifiable]
     return Diagnosis(
         verdict="unknown" if of.unknown else ("named" if final.terms else "complete"),
         effects=effects,
@@ -348,8 +349,8 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
             *unobservable(selection),
             *_waves_too_fast(space, proposer, selection),
             *_unseen_resonances(space, proposer, selection),
-            *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in told),
-            *(_without_other(effect) for effect in untold_beside(predictor, space.model)),
+            *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in unidentifiable),
+            *(_without_other(effect) for effect in unidentifiable_beside(predictor, space.model)),
         ],
         missing_channels=data.missing,
         model=extended(space.model, of.certain),
@@ -550,7 +551,7 @@ def _joined(terms: list[Term], named: list[NamedEffect]) -> list[NamedEffect]:
 def _experiment(model: Machine, effect: Effect, other: str) -> str:
     """Experiment that distinguishes an effect from another, by its id, or from its lookalike."""
     if effect.lookalike is not None and other == effect.lookalike.name:
-        return effect.lookalike.told_apart_by
+        return effect.lookalike.distinguished_by
     return effect.distinguished_from(machines.effect_of(model, other))
 
 
@@ -579,7 +580,7 @@ def unobservable(selection: Selection, least_Nm: Callable[[Array], float] | None
     """Effects of which a change of the usual size would drown in the noise of these data, or make a torque (n,) of less
     than an rms that depends on it."""
     offered, result = selection.candidates, []
-    seen = {term.place for term in selection.untold}
+    seen = {term.place for term in selection.unidentifiable}
     for candidate, response in zip(offered.candidates, offered.responses, strict=True):
         if candidate.multiplicity > 1.0 or candidate.place in seen:
             continue

@@ -46,7 +46,7 @@ def uncertainty_of(space: Space, found: Fit, rows: NDArray[np.bool_] | None = No
     rows = space.predictor.rows if rows is None else rows
     derivatives = space.point(found.terms, found.residual).derivatives[..., rows]
     known = uncertainty(derivatives, found.residual[..., rows])
-    doubted = np.concatenate([np.zeros(0, bool), *(np.full(len(t.coordinates()), t.swings) for t in found.terms)])
+    doubted = np.concatenate([np.zeros(0, bool), *(np.full(len(t.coordinates()), t.is_torsional) for t in found.terms)])
     if not np.any(doubted):
         return known
     return with_doubts(known, derivatives, found.residual[..., rows], space.doubts(found.terms)[..., rows], doubted)
@@ -59,7 +59,7 @@ def stated_uncertainty(space: Space, found: Fit) -> Uncertainty:
     known, predictor = uncertainty_of(space, found), space.predictor
     if not isinstance(predictor, OnMeasuredMotion) or not found.terms:
         return known
-    if predictor.sine_Hz is not None and not any(term.swings for term in found.terms):
+    if predictor.sine_Hz is not None and not any(term.is_torsional for term in found.terms):
         return _on_one_sine(space, found, predictor, predictor.repeating(predictor.sine_Hz))
     rows = predictor.rows
     if predictor.arm is None and not any(map(_identifies_inertia, found.terms)):

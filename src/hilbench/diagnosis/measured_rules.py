@@ -181,7 +181,7 @@ _OWN_SHARE: Final = 0.25
 def is_in_known_band(space: Space, term: Term) -> bool:
     """False of a term that oscillates at a frequency at which the measured motion is noise more than motion."""
     predictor = space.predictor
-    if not term.swings or not isinstance(predictor, OnMeasuredMotion):
+    if not term.is_torsional or not isinstance(predictor, OnMeasuredMotion):
         return True
     return term.values["frequency_Hz"] <= predictor.known_to_Hz
 
@@ -193,7 +193,7 @@ def is_on_one_sine(space: Space) -> bool:
 
 def identifiable_on_one_sine(space: Space, terms: list[Term], offered: CandidateSet) -> list[bool]:
     """True for each candidate that the motion identifies; all of any but one steady sine. A resonance is judged by
-    the lines of its spectrum, once it is found (`hilbench.diagnosis.resonance.untold`)."""
+    the lines of its spectrum, once it is found (`hilbench.diagnosis.resonance.unidentifiable_modes`)."""
     predictor = space.predictor
     if not isinstance(predictor, OnMeasuredMotion) or predictor.sine_Hz is None:
         return [True] * len(offered.candidates)
@@ -203,11 +203,11 @@ def identifiable_on_one_sine(space: Space, terms: list[Term], offered: Candidate
     counted = alike[..., predictor.rows]
     known = basis(counted[np.any(counted, axis=(1, 2))].reshape(-1, counted.shape[1] * counted.shape[2]))
     return [
-        term.swings or _is_law_of_motion(term) or own_share(response[..., predictor.rows], known) >= _OWN_SHARE
+        term.is_torsional or _is_law_of_motion(term) or own_share(response[..., predictor.rows], known) >= _OWN_SHARE
         for term, response in zip(offered.candidates, offered.responses, strict=True)
     ]
 
 
 def _is_law_of_motion(term: Term) -> bool:
     """Friction, offset and inertia: without them no other law is read aright."""
-    return not term.effect.removable or (term.effect.domain is Domain.INERTIA and not term.swings)
+    return not term.effect.removable or (term.effect.domain is Domain.INERTIA and not term.is_torsional)

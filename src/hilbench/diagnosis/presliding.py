@@ -72,9 +72,9 @@ def presliding(
     if np.count_nonzero(np.diff(np.sign(v[rows]))) < _LEAST_REVERSALS:
         return None
     looked_at = np.flatnonzero(rows)[::every]
-    plain = np.array([a, v, np.abs(v), np.ones(len(x)), x - np.mean(x), *([] if others is None else others)])
-    plain = plain[:, looked_at]
-    fixed, _ = np.linalg.qr((plain / np.maximum(np.linalg.norm(plain, axis=1), 1e-300)[:, None]).T)
+    columns = np.array([a, v, np.abs(v), np.ones(len(x)), x - np.mean(x), *([] if others is None else others)])
+    columns = columns[:, looked_at]
+    fixed, _ = np.linalg.qr((columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-300)[:, None]).T)
     beside = torque[looked_at] - fixed @ (fixed.T @ torque[looked_at])
 
     def left(direction: Array) -> Array:

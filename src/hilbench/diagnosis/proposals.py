@@ -155,7 +155,7 @@ class Proposer:
             return 1.0
         return float(np.ptp(self._data.x_m[axis])) * self._model.motor_rad_per_unit(axis) / _TURN
 
-    def plain(self) -> list[Term]:
+    def direct(self) -> list[Term]:
         """Every effect that needs no search, at every place it can be."""
         terms = []
         for effect in self._vocabulary:
@@ -179,8 +179,8 @@ class Proposer:
         if probe.over is ProbeOver.FREQUENCIES:
             shown = [f for f in probe.tried if f * self._data.duration_s > _LEAST_CYCLES and f < self._highest_Hz()]
             return [self._term(effect, axis, {probe.parameter: f}, multiplicity=count, section=section) for f in shown]
-        plain = self._term(effect, axis, {}, section=section)
-        return [replace(plain, probe=times * plain.size, multiplicity=count) for times in probe.tried]
+        term = self._term(effect, axis, {}, section=section)
+        return [replace(term, probe=times * term.size, multiplicity=count) for times in probe.tried]
 
     def _possible(self, effect: Effect, axis: int | None) -> bool:
         # In less than a turn an encoder's error once a turn is one of its scale, or a torque that goes with the angle.

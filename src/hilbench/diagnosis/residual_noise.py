@@ -26,7 +26,7 @@ _MOST_TAKEN: Final = 0.95
 _WIDTH: Final = 1.5
 _LEAST_FREEDOM: Final = 8.0
 #: Share of its response that others have to leave of something for a search to see how large it is.
-_TOLD: Final = 0.25
+_IDENTIFIABLE: Final = 0.25
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def with_guess(known: Uncertainty, columns: Array, residual: Array, guess: Array
     """
     making_up = _least_squares(columns, guess.reshape(1, -1))
     own = float(np.sum((guess[0] - np.tensordot(making_up[:, 0], columns, 1)) ** 2))
-    if own >= _TOLD * float(np.sum(guess**2)):
+    if own >= _IDENTIFIABLE * float(np.sum(guess**2)):
         return known
     wide = np.concatenate([columns, guess])
     variance = float(uncertainty(wide, residual).covariance[-1, -1])

@@ -99,15 +99,14 @@ class MeasuredRules:
             offered = self.candidates(certain)
         current = certain
         tied = self._tied(current, offered, wandering)
-        plainer = self._with_first_of_alike(current, tied, offered)
-        if plainer is not current:
-            current, offered = plainer, self.candidates(plainer)
+        simpler = self._with_first_of_alike(current, tied, offered)
+        if simpler is not current:
+            current, offered = simpler, self.candidates(simpler)
             tied = self._tied(current, offered, wandering)
         # On one steady sine an inertia replaces a resonance, and leaves more.
-        swung = any(term.swings for term in steady.terms) and not any(term.swings for term in current.terms)
-        exhausted = swung and is_on_one_sine(self.space)
-        untold = self._untold(current, tied, offered)
-        return Selection(current, offered, self.samples, tied, self._evidence(current), exhausted, untold=untold)
+        resonant = any(t.is_torsional for t in steady.terms) and not any(t.is_torsional for t in current.terms)
+        exhausted, few = resonant and is_on_one_sine(self.space), self._unidentifiable(current, tied, offered)
+        return Selection(current, offered, self.samples, tied, self._evidence(current), exhausted, unidentifiable=few)
 
     # -- fits ----------------------------------------------------------------------------------------------
 
@@ -126,8 +125,8 @@ class MeasuredRules:
     def candidates(self, current: Fit) -> CandidateSet:
         """Every candidate with its response; orders and frequencies from the residual's spectrum."""
         space = self.space
-        plain = self.proposer.plain()
-        candidates = [t for t in plain if not any(map(t.overlaps, current.terms)) and is_in_known_band(space, t)]
+        direct = self.proposer.direct()
+        candidates = [t for t in direct if not any(map(t.overlaps, current.terms)) and is_in_known_band(space, t)]
         responses = space.strengths(current.terms, current.residual, candidates)
         own = space.point(current.terms, current.residual).derivatives
         # Without waves: one that acts as a term that is there is looked at as well, to be tied with it.
@@ -364,7 +363,7 @@ class MeasuredRules:
                 return self._with_first_of_alike(found, {one.key: [] for one in found.terms} | tied, offered)
         return current
 
-    def _untold(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> list[Term]:
+    def _unidentifiable(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> list[Term]:
         """A candidate of each place of which this motion can distinguish none, and that is tied with nothing."""
         is_identified = identifiable_on_one_sine(self.space, current.terms, offered)
         known = {*(term.place for term in current.terms), *chain.from_iterable(tied.values())}

@@ -155,13 +155,13 @@ class Steps:
     def candidates(self, current: Fit, known: CandidateSet | None = None) -> CandidateSet:
         """Candidates at a model, each with its response.
 
-        Searched ones need to know the noise first, which is seen when every plain candidate has had its say; then the
-        noise is seen once more, beside all of them. known: a set at another model (`carried_over`); of its plain
+        Searched ones need to know the noise first, which is seen when every direct candidate has had its say; then the
+        noise is seen once more, beside all of them. known: a set at another model (`carried_over`); of its direct
         candidates those that are far from promising anything keep their responses.
         """
         space = self.space
-        plain = [t for t in self.proposer.plain() if not any(map(t.overlaps, current.terms))]
-        responses = self._responses(current, plain, known)
+        direct = [t for t in self.proposer.direct() if not any(map(t.overlaps, current.terms))]
+        responses = self._responses(current, direct, known)
         own = space.point(current.terms, current.residual).derivatives
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         whitened = self.masked(white.apply(current.residual))
@@ -175,12 +175,12 @@ class Steps:
         searched, responses = searched + whole, responses + more
         responses = responses + space.strengths(current.terms, current.residual, whole)
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
-        return CandidateSet(white, current.residual, own, plain + searched, responses)
+        return CandidateSet(white, current.residual, own, direct + searched, responses)
 
-    def _responses(self, current: Fit, plain: list[Term], known: CandidateSet | None) -> list[Array]:
-        """Responses of plain candidates; of those that are far from promising anything as they are known."""
+    def _responses(self, current: Fit, direct: list[Term], known: CandidateSet | None) -> list[Array]:
+        """Responses of direct candidates; of those that are far from promising anything as they are known."""
         if known is None:
-            return self.space.strengths(current.terms, current.residual, plain)
+            return self.space.strengths(current.terms, current.residual, direct)
         promising = self.ranked(known, known.residual, known.own, len(known.candidates), _FAR_FROM_PROMISING)
         places = {term.place for terms in promising for term in terms}
         by_term = {
@@ -188,8 +188,8 @@ class Steps:
             for t, response in zip(known.candidates, known.responses, strict=True)
             if t.place not in places
         }
-        found = [by_term.get((t.key, t.probe, *t.values.items())) for t in plain]
-        new = [t for t, response in zip(plain, found, strict=True) if response is None]
+        found = [by_term.get((t.key, t.probe, *t.values.items())) for t in direct]
+        new = [t for t, response in zip(direct, found, strict=True) if response is None]
         anew = iter(self.space.strengths(current.terms, current.residual, new))
         return [next(anew) if response is None else response for response in found]
 
@@ -272,19 +272,19 @@ class Steps:
         return self.proposer.gradual(effect, begin_s, end_s - begin_s, current.terms, section)
 
     def _tune(
-        self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array], plain: list[Array]
+        self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array], direct: list[Array]
     ) -> list[int]:
         """Put orders and frequencies, in place, where responses fit best, and simulate those anew that moved; return
         the places of those that were looked at.
 
-        responses, plain: raw, (1 or 2, signals, n) each, of the searched and the other candidates. The peak of a
+        responses, direct: raw, (1 or 2, signals, n) each, of the searched and the other candidates. The peak of a
         spectrum is beside the right order where the machine answers more strongly at another speed; a fit started there
         ends in a minimum beside it. One that explains little, or far less than something else does, is none of the next
         to be added, and its order or frequency may come from what that one leaves: it is not looked at.
         """
         residual = self.trained(white.apply(current.residual))
         gains = [0.0]
-        for column in (column for response in [*plain, *responses] for column in response):
+        for column in (column for response in [*direct, *responses] for column in response):
             whitened = self.trained(white.apply(column))
             gains.append(float(np.vdot(whitened, residual)) ** 2 / max(float(np.vdot(whitened, whitened)), 1e-300))
         looked_at, moved = [], []

@@ -153,7 +153,7 @@ class Term:
         return self.has_phase or (self.effect.probe is not None and self.effect.probe.over is ProbeOver.FREQUENCIES)
 
     @property
-    def swings(self) -> bool:
+    def is_torsional(self) -> bool:
         """True if it is a resonance of a part of the machine."""
         return self.is_of_a_frequency and not self.has_phase
 

@@ -147,7 +147,7 @@ class Lookalike:
     """Cause outside the vocabulary that an effect may be mistaken for: reported with it, never named."""
 
     name: str
-    told_apart_by: str  #: the experiment that separates the two
+    distinguished_by: str  #: the experiment that separates the two
 
 
 @dataclass(frozen=True, slots=True)
