@@ -57,7 +57,7 @@ _LOOP_SHARE: Final = 0.1
 #: Gauss–Newton steps with the derivatives of the beginning, before one with those of where they end: strengths are
 #: nearly linear.
 _STEPS: Final = 3
-#: Finite-difference steps, as a share of those of a search: a scale and an inertia that are tied must not be told apart
+#: Finite-difference steps, as a share of those of a search: a scale and an inertia that are tied must not be separated
 #: by the curvature of their differences.
 _FINE: Final = 0.01
 #: Deviations from which a ripple of an order that was searched for is one: among a thousand orders and three axes

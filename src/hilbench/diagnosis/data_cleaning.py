@@ -385,7 +385,7 @@ def _unsaturated(table: _Table, limits_Nm: Mapping[str, float]) -> _Table:
         count = int(np.count_nonzero(cut))
         if count and float(np.ptp(values)) > 0.0:
             largest = float(np.max(np.abs(values[cut])))
-            text = f"channel {name} stands at {largest:g} N·m, the end of its range, in {count} row(s): left out"
+            text = f"channel {name} is at {largest:g} N·m, the end of its range, in {count} row(s): left out"
             table = table.with_channel(name, values, Repair("saturated", name, count, text), left_out=cut)
     return table
 

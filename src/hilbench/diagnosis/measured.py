@@ -218,7 +218,7 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         other_rad=np.asarray(recording[other], np.float64) if other else None,
     )
     if machines.has_stations(model) and abs(float(measured.commands_m_s[0, -1])) > STANDSTILL_M_S:
-        raise UnusableInputError(place, "a line with 'stations' under way at the first row, expected it at rest there")
+        raise UnusableInputError(place, "a line with 'stations' in motion at the first row, expected it at rest there")
     _check_plausible(measured, model, place)
     return measured
 

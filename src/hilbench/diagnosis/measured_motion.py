@@ -341,7 +341,7 @@ class OnMeasuredMotion:
             Condition("speed of axis 1", f"{unit}/s", self._v[step]),
             Condition("acceleration of axis 1", f"{unit}/s²", self._a[step]),
             Condition("position of axis 1", unit, self._x[step], spectral=True),
-            Condition("way since the last reversal of axis 1", unit, self._since_reversal()[step]),
+            Condition("travel since the last reversal of axis 1", unit, self._since_reversal()[step]),
         ]
 
     def _since_reversal(self) -> Array:
@@ -472,7 +472,7 @@ def coupled_motion(model: Machine, data: Measured) -> OnMeasuredMotion | None:
     """The prediction beside the other axis that the recording has; None without one, or where its motion does not
     explain much.
 
-    Gravity, inertia and what an axis swings nearly make up for one another in an arm that swings freely, so that noise
+    Gravity and inertia nearly make up for one another in an arm that oscillates freely, so that noise
     that hardly shows in an acceleration shows in them: the corner is that with which the stretches of the recording
     predict one another best; what carries what is the same with every corner.
     """

@@ -112,9 +112,9 @@ _SAME_SIZE: Final = 0.03
 
 def in_every_band(space: Space, current: Fit) -> Fit:
     """The fit without the terms of which a narrower band finds another size, one by one, what explains least first:
-    beside one that stands for something else the others have another size as well.
+    beside a substitute for something else the others have another size as well.
 
-    An effect has one size; what stands for something else (a delay for a loop's answer to a ripple) changes with
+    An effect has one size; a substitute for something else (a delay for a loop's answer to a ripple) changes with
     the frequencies that are looked at. A wave shows in a narrower band at lower speeds only, a resonance below its
     frequency hardly: neither is judged.
     """
@@ -138,7 +138,7 @@ def in_every_band(space: Space, current: Fit) -> Fit:
 def in_both_halves(space: Space, current: Fit) -> Fit:
     """The fit without the delays that every other stretch finds in another size than those between.
 
-    A cable is as long in every stretch; what a delay stands for (an arm that swings along) is another from motion
+    A cable is as long in every stretch; what a delay substitutes (an arm that oscillates along) is another from motion
     to motion. Of what the model is linear in each stretch was predicted from the others before.
     """
     rows = space.predictor.rows

@@ -189,8 +189,8 @@ def proposed(found: Diagnosis, recording: Recording, place: str | Path) -> NextE
 def propose(found: Diagnosis, reach: Reach) -> NextExperiment | None:
     """The move, or two, that would show most of what `found` leaves open; None where no move would show it.
 
-    Each is predicted with the model that was found, with and without what is asked; how far the predictions lie apart,
-    in units of the noise and with the other explanation fitted, is what it would show.
+    Each is predicted with the model that was found, with and without the effect in question; how far the predictions
+    lie apart, in units of the noise and with the other explanation fitted, is what it would show.
     """
     model, kind = found.model, machines.of_kind(found.model)
     lone = machines.is_lone(model)

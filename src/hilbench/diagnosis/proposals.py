@@ -311,7 +311,7 @@ class Proposer:
     def passage_times_s(
         self, whitened: dict[str, Array], rows: NDArray[np.bool_], every: int = 1
     ) -> tuple[Array, float]:
-        """Times at which something may have come, and how far they are apart, s; none where no while stands out.
+        """Times at which something may have come, and how far they are apart, s; none where none is beyond the noise.
 
         whitened: residuals (n,) by signal; rows (n,): those that count; every: rows of the recording per row.
         A while is as long as the web needs through the first span; what passes in it has come in the one before, or as

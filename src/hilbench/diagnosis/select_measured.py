@@ -9,7 +9,8 @@ term is certain when
   expansion of something else, and comes and goes from one recording to the next,
 - stretches that did not take part in the fit agree.
 
-The simple effects come first (marginality, Nelder 1977): a law of higher order is read beside those that it is made of.
+The simple effects come first (marginality, Nelder 1977): a law of higher order is read beside those that it consists
+of.
 """
 
 from __future__ import annotations
@@ -197,7 +198,7 @@ class MeasuredRules:
             started, least = self._started(problem, mine, term, group), least_share(term)
             if started is None or before - started[0] < least * before:
                 continue
-            # A law of higher order is fitted with those that it is made of, even where these are not identified.
+            # A law of higher order is fitted with those that it consists of, even where these are not identified.
             if term.effect.removable and problem.own_share(group[0], [*mine, *simple]) < _OWN_SHARE:
                 continue
             unseen, free = before_unseen - problem.left_unseen([*mine, *group]), 0.0

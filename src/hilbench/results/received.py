@@ -35,7 +35,7 @@ class Reader(Protocol):
 
 
 def received(config: BenchConfig, link: Link, reader: Reader) -> Recording:
-    """The last cycles of the bench that runs on this bus; what it is asked for is read from its node.
+    """The last cycles of the bench that runs on this bus; its set points are read from its node.
 
     Raises UnusableInputError where none runs, or its drives are not enabled.
     """

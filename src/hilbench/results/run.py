@@ -161,8 +161,8 @@ def run_experiment(
     A bench fault, an interruption, or an exception that nobody foresaw ends the run in the safe state; what was
     recorded until then is written, and the fault is in the result (the traceback in the run folder). Raises
     UnusableInputError before anything is started or written, for a bus that has another master, too (`force`: unless it
-    was only heard), BenchFaultError when the result can't be written. `beside`: copies of this process that were made
-    before (`startup.copies_beside`).
+    was only received), BenchFaultError when the result can't be written. `beside`: copies of this process that were
+    made before (`startup.copies_beside`).
     """
     config = loaded.config
     check_experiment(loaded)

@@ -69,7 +69,7 @@ METRICS: Final[Mapping[str, Metric]] = {
     for name, metric in machine.metrics.items()
 } | {**OF_RUNS, **estimated_errors.METRICS}
 
-#: Steps whose reasons are told in one line.
+#: Steps whose reasons are stated in one line.
 _MOST_REASONS: Final = 3
 
 

@@ -1,6 +1,6 @@
 """The one registry of signals: each is declared once, by the kind of part that has it, and instantiated per part.
 
-What a recording, a condition, a limit, a report or the monitor knows of a signal (name, unit, meaning, group) stands
+What a recording, a condition, a limit, a report or the monitor knows of a signal (name, unit, meaning, group) is
 here. Names are those of the design (files: recording): a name carries its unit; the number of the axis or span, or the
 name of the load motor, is in it where the declaration has ``{axis}``, ``{span}`` or ``{load_motor}``. The number of
 a span is left out where there is only one.

@@ -37,7 +37,7 @@ ProbingMode = Literal["off", "ask", "on"]
 
 
 class ProbingConfig(Block):
-    """Small known changes of the tension set-point that tell E from friction and from an offset of the torque."""
+    """Small known changes of the tension set-point that separate E from friction and from an offset of the torque."""
 
     mode: ProbingMode = Field(
         default="off",
@@ -99,7 +99,7 @@ class TensionControlConfig(Block):
 
 
 class CarriageForceConfig(Block):
-    """The force on the carriage of a dancer or accumulator, told ahead to a valve that sets the pressure: what keeps
+    """The force on the carriage of a dancer or accumulator, fed forward to a valve that sets the pressure: what keeps
     the tension, with what carriage and rollers need to speed up, and their friction, by the machine's model."""
 
     set_point_N: PositiveFloat | None = Field(

@@ -2,7 +2,7 @@
 
 `position_control.store.set_point_m` is where the carriage of `store` is to stand; `position_control.store.feed` is 1
 while the axis before it feeds the line by the loop, 0 for it to stand, as a reel that is changed, while the
-accumulator feeds the line. Where the force on the carriage is told ahead `position_control.store.force.set_point_N` is
+accumulator feeds the line. Where the force on the carriage is fed forward `position_control.store.force.set_point_N` is
 the tension behind it that the force is to keep.
 """
 

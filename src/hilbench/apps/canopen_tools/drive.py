@@ -159,7 +159,7 @@ def drive(
         end_if_requested, next_s = on.enter_context(end_requests()), 0.0
 
         def alive() -> None:
-            """Send this program's heartbeat when it is due. Raises KeyboardInterrupt once it is asked to end."""
+            """Send this program's heartbeat when it is due. Raises KeyboardInterrupt once its end is requested."""
             nonlocal next_s
             end_if_requested()
             if time.monotonic() >= next_s:

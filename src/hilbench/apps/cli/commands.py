@@ -42,7 +42,7 @@ class _RefusedError(HilbenchError):
 
 
 def commands_named(name: str) -> Iterator[tuple[str, Any]]:
-    """The command of this name, or where there is none all of them, with their names; other packages are asked only
+    """The command of this name, or where there is none all of them, with their names; other packages are searched only
     for a name that is not hilbench's. Those of other packages that can't be loaded are left out with a line each.
 
     Raises UnusableInputError for a command that is named, and for hilbench's own, when they can't be loaded.

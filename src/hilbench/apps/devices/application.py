@@ -39,7 +39,7 @@ class DrivesApplication:
         )
 
     def ask(self, what: Callable[[], None]) -> None:
-        """Do this soon, from whatever thread it is asked."""
+        """Do this soon; may be called from any thread."""
         self._asked.put(what)
 
     def faulty(self, number: int) -> FaultyDrive:

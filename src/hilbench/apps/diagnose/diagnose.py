@@ -273,7 +273,7 @@ def _show(console: Console, shown: Found) -> None:
             console.print(f"these data could hardly show {place}; next experiment: {blind.experiment}")
         elif blind.smallest_visible is not None:
             least = f"{blind.smallest_visible:.3g} {blind.unit}"
-            console.print(f"a change of {place} of less than {least} could not be told", soft_wrap=True)
+            console.print(f"a change of {place} of less than {least} could not be detected", soft_wrap=True)
     for repair in found.repairs:
         console.print(f"mended: {repair.text}", soft_wrap=True)
     if found.missing_channels:

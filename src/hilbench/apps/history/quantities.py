@@ -118,7 +118,7 @@ def sentences(one: QuantityTrend) -> list[str]:
     tied = [row.quantity.tied_with for row in one.rows if row.quantity.tied_with]
     if tied:
         others = ", ".join(sorted({name for each in tied for name in each.split(", ")}))
-        lines.append(f"in {len(tied)} of {len(one.rows)} runs it could not be told from {others}")
+        lines.append(f"in {len(tied)} of {len(one.rows)} runs it could not be distinguished from {others}")
     if one.limit is not None:
         lines.append(_limit_sentence(one))
     return lines

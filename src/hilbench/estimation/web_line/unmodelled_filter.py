@@ -15,7 +15,7 @@ are turned into forces with.
 Identifiability: at constant speed and tension only the sum of all terms is measured; E and the rest are separated by
 excitation alone. While speed or tension change, all states are estimated. In quiet time only those are whose regressors
 separate them at all times (E, D, rotating terms); the others are considered (Schmidt–Kalman; Schmidt 1966): they keep
-their mean, and count in every gain and in the stated deviation by their covariance. A regressor made of measured
+their mean, and count in every gain and in the stated deviation by their covariance. A regressor of measured
 signals varies in quiet time by nothing but their noise, and would be taken for evidence in minutes (errors in
 variables).
 

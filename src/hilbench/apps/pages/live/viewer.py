@@ -28,7 +28,7 @@ _MOST_ASKED: Final = 8
 _MOST_KNOWN: Final = 256
 #: What a connection begins with comes within this time, s.
 _HELLO_S: Final = 10.0
-#: Points of a part of the past that is asked for.
+#: Points of a part of the past that is requested.
 _MOST_POINTS: Final = 4000
 _HEAD: Final = struct.Struct("<4I")
 #: The third of the levels in a message: a part of the past.
