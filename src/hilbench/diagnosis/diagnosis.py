@@ -342,7 +342,7 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
         verdict="unknown" if of.unknown else ("named" if final.terms else "complete"),
         effects=effects,
         gaps=gaps,
-        where=_where(where),
+        where=[GapLocation(m.signal, m.when, f"{m.condition}: {m.detail}", round(share, 4)) for m, share in where],
         profiles=_profiles(depends, of.misfits, floor_of, max(gaps, key=_size).signal),
         unexplained=of.unexplained,
         unobservable=[
@@ -350,7 +350,10 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
             *_waves_too_fast(space, proposer, selection),
             *_unseen_resonances(space, proposer, selection),
             *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in unidentifiable),
-            *(_without_other(effect) for effect in unidentifiable_beside(predictor, space.model)),
+            *(
+                Unobservable(effect.id, 1, None, effect.parameter(effect.strength[0]).unit, OTHER_HELD)
+                for effect in unidentifiable_beside(predictor, space.model)
+            ),
         ],
         missing_channels=data.missing,
         model=extended(space.model, of.certain),
@@ -376,11 +379,6 @@ def _swing(term: Term) -> tuple[str, str]:
     """Name and explanation of a term of which the motion has too few frequencies to identify it."""
     about_Hz = f"{term.values['frequency_Hz']:.2g} Hz"
     return f"a {term.effect.id}", f"perhaps near {about_Hz}, which the few frequencies of this motion do not identify"
-
-
-def _without_other(effect: Effect) -> Unobservable:
-    """An effect that an axis does not show while another is coupled, and the experiment that would show it."""
-    return Unobservable(effect.id, 1, None, effect.parameter(effect.strength[0]).unit, OTHER_HELD)
 
 
 def _beyond_noise(space: Space, final: Fit) -> list[Misfit]:
@@ -558,10 +556,6 @@ def _experiment(model: Machine, effect: Effect, other: str) -> str:
 def rounded(value: float) -> float:
     """Round to as many digits as any interval needs."""
     return float(f"{value:.{_DIGITS}g}")
-
-
-def _where(found: list[tuple[Misfit, float]]) -> list[GapLocation]:
-    return [GapLocation(m.signal, m.when, f"{m.condition}: {m.detail}", round(share, 4)) for m, share in found]
 
 
 def _profiles(before: list[Misfit], after: list[Misfit], floors: dict[str, float], signal: str) -> list[Profile]:

@@ -99,7 +99,10 @@ def first_unseen(space: Space, proposer: Proposer, selection: Selection, deviati
     tried = [term for term in direct if _frequency(term) is not None and term.place not in known]
     for _, group in groupby(tried, lambda term: term.place):
         looked_at = sorted(group, key=_Hz)
-        between = [_between(low, high) for low, high in pairwise(looked_at)]
+        between = [
+            replace(low, values={**low.values, _frequency(low) or "": float(np.sqrt(_Hz(low) * _Hz(high)))})
+            for low, high in pairwise(looked_at)
+        ]
         smallest = _smallest(space, selection, direct, looked_at, between, deviations)
         found = sorted(zip([*looked_at, *between], smallest, strict=True), key=lambda one: _Hz(one[0]))
         yield from [Unseen(term, _Hz(term), float(s)) for term, s in found if not s <= term.size][:1]
@@ -113,11 +116,6 @@ def _frequency(term: Term) -> str | None:
 
 def _Hz(term: Term) -> float:
     return term.values[_frequency(term) or ""]
-
-
-def _between(low: Term, high: Term) -> Term:
-    """Term at the geometric mean of two frequencies."""
-    return replace(low, values={**low.values, _frequency(low) or "": float(np.sqrt(_Hz(low) * _Hz(high)))})
 
 
 def _smallest(

@@ -148,7 +148,7 @@ class LoadConfig(Block):
 
     @field_validator("effects")
     @classmethod
-    def _imitable(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
+    def _emulable(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
         return _possible_effects(entries, EffectPlace.LOAD)
 
 

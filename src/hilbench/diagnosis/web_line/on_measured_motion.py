@@ -102,9 +102,9 @@ class LineOnMeasuredMotion:
         self.tolerances = np.zeros(len(self.names))
         self.rows = self._usable()
         self._sampling = self._in_step()
-        measured = thinning.apply(rows)
+        measured, cycle_s = thinning.apply(rows), min(data.period_s, _COMMANDS_S)
         for k, axis in enumerate(self._torques):
-            measured[k] -= sampling_bias_Nm(model, axis, self._cycle_s) * self._at_rows(self._a[:, axis - 1])
+            measured[k] -= sampling_bias_Nm(model, axis, cycle_s) * self._at_rows(self._a[:, axis - 1])
         self._by_model = self._above_the_calm(lay.pack(model))
         self.measured = self._discounted(self._mix(measured) - self._by_model)
 
@@ -126,17 +126,13 @@ class LineOnMeasuredMotion:
     def _above_the_calm(self, parameters: Array) -> Array:
         """(signals, n): what the measured motion needs by parameters (P,) more than its calm part."""
         motions = self._measured_motion, (self._x, self._v, self._a)
-        runs = [self._moved_by(parameters[None], *motion) for motion in motions]
+        runs = [self._run(parameters[None], motion) for motion in motions]
         return np.asarray((self._signals(runs[0]) - self._signals(runs[1]))[0])
 
     def quick(self, parameters: Array) -> Array:
         """(signals, n): how much more of the measured the quick part of the motion needs by parameters (P,) than by
         the model."""
         return self._discounted(self._above_the_calm(parameters) - self._by_model)
-
-    @property
-    def _cycle_s(self) -> float:
-        return min(self._data.period_s, _COMMANDS_S)
 
     def _at_rows(self, fine: Array) -> Array:
         return self._thinning.apply(fine, self._whole)
@@ -262,10 +258,8 @@ class LineOnMeasuredMotion:
             stacked = low_passed(stacked, self._fine_s, self._band_Hz)
         return self._mix(self._thinning.apply(stacked, self._whole))
 
-    def _run(self, parameters: Array) -> RequiredTorques:
-        return self._moved_by(parameters, self._x, self._v, self._a)
-
-    def _moved_by(self, parameters: Array, x_m: Array, v_m_s: Array, a_m_s2: Array) -> RequiredTorques:
+    def _run(self, parameters: Array, motion: tuple[Array, Array, Array] | None = None) -> RequiredTorques:
+        x_m, v_m_s, a_m_s2 = motion or (self._x, self._v, self._a)
         return required_torques(parameters, self._model, x_m, v_m_s, a_m_s2, self._boundary, self._fine_s)
 
 
