@@ -1,5 +1,5 @@
 "use strict";
-// The page of a running bench: shows what its server has heard on the bus, and asks for what a person has confirmed.
+// The page of a running bench: shows what its server has received on the bus, and asks for what a person has confirmed.
 window.session.then((known) => {
   if (!known || !document.getElementById("all")) return;
   const $ = (id) => document.getElementById(id);
