@@ -195,6 +195,20 @@ def test_a_pipe_with_the_name_of_a_recording_or_trace_is_refused_without_waiting
         read(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    "words", [["convert", "a.mf4", "b.csv"], ["simulate-drive", "a.eds", "--bus", "embedded:pipes"]]
+)
+def test_a_command_that_is_given_a_pipe_for_a_file_says_so_without_waiting(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.mf4", "a.eds"):
+        os.mkfifo(name)
+    done = hilbench(*words)
+    assert done.returncode == 2
+    assert done.stderr.endswith("is no file, expected one\n")
+
+
 @pytest.mark.parametrize("suffix", ["mf4", "csv", "csv.gz", "parquet"])
 def test_a_recording_is_kept_in_a_folder_whose_name_is_no_utf_8(suffix: str, tmp_path: Path) -> None:
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/m\xfcller"))

@@ -82,16 +82,6 @@ if TYPE_CHECKING:
         """
         return lambda function: function
 
-    def floats(table: NDArray[np.int64], row: int, dimensions: tuple[int, ...]) -> NDArray[np.float64]:
-        """Array in a row of a `table_of`, in the body of an entry point, with so many `dimensions` (each named
-        by its number: (1,), (1, 2), (1, 2, 3)). The caller who made the table keeps the array alive. Arrays
-        of other types are given as those of eight bytes, and taken as `viewed`."""
-        raise NotImplementedError
-
-    def integers(table: NDArray[np.int64], row: int, dimensions: tuple[int, ...]) -> NDArray[np.int64]:
-        """Array of int64 in a row of a `table_of`, like `floats`."""
-        raise NotImplementedError
-
     def arrays_in(table: NDArray[np.int64], kind: type[Arrays]) -> Arrays:
         """The NamedTuple of arrays that a `table_of` is made of, in the body of an entry point. The caller who made the
         table keeps them alive."""
@@ -187,28 +177,6 @@ else:
         populate_array(found, builder.inttoptr(address, found.data.type), shape, strides, step, None)
         return found._getvalue()
 
-    def _array_of(dtype):
-        @intrinsic
-        def array(typingcontext, table, row, dimensions):
-            result = types.Array(dtype, len(dimensions), "C")
-
-            def generate(context, builder, signature, arguments):
-                from numba.np.arrayobj import make_array
-
-                rows = make_array(signature.args[0])(context, builder, arguments[0])
-                first = builder.mul(arguments[1], context.get_constant(types.intp, TABLE_WIDTH))
-                cells = [
-                    builder.load(builder.gep(rows.data, [builder.add(first, context.get_constant(types.intp, column))]))
-                    for column in range(1 + result.ndim)
-                ]
-                return _array_at(context, builder, result, *cells)
-
-            return result(table, types.intp, dimensions), generate
-
-        return array
-
-    floats, integers = _array_of(types.float64), _array_of(types.int64)
-
     def _numba_type(kind):
         """What numba sees of a field's type."""
         if isinstance(kind, np.dtype):
@@ -298,13 +266,9 @@ else:
 TABLE_WIDTH = 4
 
 
-#: Types of fields that are no NamedTuple themselves.
-_KINDS = (np.dtype, types.Array)
-
-
 def _fields(kind: type[tuple[Any, ...]]) -> tuple[Any, ...]:
     """Types of the fields of a NamedTuple of arrays: numba's of an array, numpy's of a record, another NamedTuple."""
-    hints = get_type_hints(kind, include_extras=True).values() if hasattr(kind, "_fields") else ()
+    hints = get_type_hints(kind, include_extras=True).values()
     return tuple([hint.__metadata__[0] if hasattr(hint, "__metadata__") else hint for hint in hints])
 
 
@@ -319,26 +283,13 @@ def _flat(arrays: tuple[Any, ...]) -> Iterator[tuple[str, Any, NDArray[Any]]]:
 
 
 def table_of(arrays: Sequence[Any]) -> NDArray[np.int64]:
-    """Table of the addresses and shapes of arrays, of a NamedTuple of arrays, or of several of these, a row each: for
+    """Table of the addresses and shapes of a NamedTuple of arrays, or of several of these, a row for each array: for
     an entry point with more arrays than a call from Python should pass one by one (70 ns each). The caller keeps them.
 
-    Raises ValueError for an array that is not of float64 or int64, in one piece, with one to three dimensions; of a
-    NamedTuple of arrays for one that is not as its field says.
+    Raises ValueError for an array that is not as its field says.
     """
-    if isinstance(arrays, tuple) and any(isinstance(each, _KINDS) for each in _fields(type(arrays))):
-        return _table_of_fields(arrays)
-    if arrays and all(hasattr(each, "_fields") for each in arrays):
-        return np.concatenate([table_of(each) for each in arrays])
-    table = np.zeros((len(arrays), TABLE_WIDTH), np.int64)
-    for row, array in zip(table, arrays, strict=True):
-        if array.dtype not in (np.float64, np.int64) or not array.flags.c_contiguous or not 1 <= array.ndim <= 3:
-            raise ValueError(f"an array of {array.dtype} {array.shape}, expected float64 or int64 in one piece")
-        row[: 1 + array.ndim] = (array.ctypes.data, *array.shape)
-    return table
-
-
-def _table_of_fields(arrays: tuple[Any, ...]) -> NDArray[np.int64]:
-    rows = list(_flat(arrays))
+    several: Sequence[Any] = [arrays] if hasattr(arrays, "_fields") else arrays
+    rows = [row for each in several for row in _flat(each)]
     table = np.zeros((len(rows), TABLE_WIDTH), np.int64)
     for row, (name, kind, array) in zip(table, rows, strict=True):
         fits = (

@@ -55,9 +55,9 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: str | Path, text: str) -> None:
-    """Write a text (UTF-8), as `written_whole`."""
+    """Write a text (UTF-8; a name in it that is none with question marks), as `written_whole`."""
     with written_whole(Path(path)) as partial:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_text(text, encoding="utf-8", errors="replace")
 
 
 def make_folder(path: Path) -> None:

@@ -22,6 +22,7 @@ _WORDS: Final[Mapping[str, str]] = {
     "less_than_equal": "{le} at most",
     "multiple_of": "a multiple of {multiple_of}",
     "path_type": "the name of a file",
+    "path_not_file": "a file that is there",
     "string_type": "a text",
     "string_too_short": "a text of {min_length} or more characters",
     "string_too_long": "a text of {max_length} characters at most",

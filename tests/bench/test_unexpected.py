@@ -22,6 +22,7 @@ from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.cia402.state_machine import State
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.master_node import MasterNode
+from hilbench.exchange.measured import Measured
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.hardware.simulation import RigApplication
@@ -120,7 +121,7 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
             (LimitWatch, "update"),
             (Nodes, "decode"),
             (Nodes, "encode"),
-            (Nodes, "fill"),
+            (Measured, "fill"),
             (TwinConnection, "before"),
             (Nodes, "pass_fast_path"),
             (MasterNode, "handle"),
@@ -130,7 +131,7 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
             (Exchange, "cycle"),
             (SyncCycle, "count"),
             (WebLineTwin, "compare"),
-            (TwinApplication, "go_on_in_vectors"),
+            (TwinApplication, "count_syncs"),
             (Operator, "set"),
         ),
     ],
@@ -264,15 +265,15 @@ def test_whatever_number_a_node_says_the_run_goes_on_or_ends_by_a_fault_that_is_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, signal: str, value: float
 ) -> None:
     one_by_one(monkeypatch)
-    original, calls = Nodes.fill, [0]
+    original, calls = Measured.fill, [0]
 
-    def forged(self: Nodes, sample: CycleSample) -> None:
+    def forged(self: Measured, sample: CycleSample) -> None:
         original(self, sample)
         calls[0] += 1
         if calls[0] >= CALLS:
             setattr(sample, signal, value)
 
-    monkeypatch.setattr(Nodes, "fill", forged)
+    monkeypatch.setattr(Measured, "fill", forged)
     path = config(tmp_path, steps=[MOVING[0], {"hold": {"duration_s": 0.4}}])
     ran = hilbench("run", path, "--in-process", "--no-report", "--out", tmp_path / "runs", "--json")
     result = Result.read(Path(json.loads(ran.stdout)["files"]["result"]))

@@ -20,6 +20,17 @@ def test_boot_up_and_pre_operational(tmp_path: Path) -> None:
     assert dut.device.nmt_state is NmtState.PRE_OPERATIONAL
 
 
+@pytest.mark.parametrize(
+    ("place", "named"),
+    [({"1017": var("Heartbeat", 9)}, "1017h sub 0"), ({"1400sub1": var("COB-ID", 0xF)}, "1400h sub 1 'COB-ID'")],
+)
+def test_a_file_whose_objects_of_cia_301_are_no_numbers_is_refused_in_one_line(
+    tmp_path: Path, place: dict[str, str], named: str
+) -> None:
+    with pytest.raises(UnusableInputError, match=f"{named}.* is of data type .*, expected an integer"):
+        DeviceUnderTest(tmp_path, sections=SECTIONS | place)
+
+
 @pytest.mark.parametrize(("command", "state"), [(1, 5), (2, 4), (128, 127)])
 def test_nmt_commands_to_all_nodes(dut: DeviceUnderTest, command: int, state: int) -> None:
     dut.nmt(command, node=0)

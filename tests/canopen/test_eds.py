@@ -115,8 +115,9 @@ def test_a_file_of_several_nodes_is_read_alike_for_each_and_each_has_a_dictionar
             "[2000]\nParameterName=A\nDataType=5\nAccessType=r\n",
             r"some\.eds:4: AccessType of \[2000\] is 'r', expected",
         ),
-        ("[2000]\n" + var("A", U8, default="300"), r"some\.eds:6: DefaultValue of \[2000\] is '300', expected a value"),
-        ("[2000]\n" + var("A", U8, extra="HighLimit=x\n"), r"some\.eds:8: HighLimit of \[2000\] is 'x'"),
+        ("[1015]\n" + var("A", U8, default="300"), r"some\.eds:6: DefaultValue of \[1015\] is '300', expected a value"),
+        ("[1015]\n" + var("A", U8, extra="HighLimit=x\n"), r"some\.eds:8: HighLimit of \[1015\] is 'x'"),
+        ("[2000]\n" + var("A", U8, extra="ParameterValue=300\n"), r"some\.eds:8: ParameterValue of \[2000\] is '300'"),
         ("[2000sub1]\n" + var("A", U8), r"some\.eds:1: \[2000sub1\] has no array or record \[2000\]"),
     ],
 )

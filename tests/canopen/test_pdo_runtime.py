@@ -251,6 +251,20 @@ def test_rpdo_event_timer_reports_once_and_recovers(dut: DeviceUnderTest) -> Non
     assert dut.send(0x305, "0000") == [(0x085, "0000005082000000")]
 
 
+def test_an_event_timer_that_is_switched_off_misses_nothing_and_leaves_no_error(dut: DeviceUnderTest) -> None:
+    dut.after(0)
+    dut.write(0x1401, 5, 20, 2)
+    dut.send(0x305, "0000")
+    dut.write(0x1401, 5, 0, 2)
+    assert dut.after(30) == []
+    dut.write(0x1401, 5, 20, 2)
+    dut.send(0x305, "0000")
+    dut.after(30)
+    dut.write(0x1401, 5, 0, 2)
+    dut.send(0x305, "0000")
+    assert dut.read(0x1001) == 0
+
+
 def test_a_valid_pdo_whose_default_mapping_the_eds_forbids_is_left_out_and_named(tmp_path: Path) -> None:
     dut = DeviceUnderTest(tmp_path, sections=SECTIONS | mapping(0x1600, "0x20000010"))
     (said,) = dut.device.left_out.values()

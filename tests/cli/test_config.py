@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -77,6 +78,23 @@ def test_check_says_all_that_is_wrong_with_a_config_each_with_its_place(tmp_path
     for line, (place, meant) in zip(lines, expected, strict=True):
         assert line.startswith(place)
         assert meant is None or f"did you mean {meant}?" in line
+
+
+def test_a_table_that_is_not_there_is_named_with_what_is_expected(tmp_path):
+    done = hilbench(
+        "check", ROOT / "bench_configs" / "web_section_step.yaml", "--set", "steps=[{table: {file: nowhere.csv}}]"
+    )
+    assert done.returncode == 2
+    assert done.stderr.endswith("nowhere.csv', expected: a file that is there\n")
+
+
+def test_a_config_in_a_folder_whose_name_is_no_utf_8_is_refused_before_the_run(tmp_path):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/odd-\xff"))
+    folder.mkdir()
+    (folder / "bench.yaml").write_text("{}")
+    done = hilbench("run", folder / "bench.yaml", "--in-process")
+    assert done.returncode == 2
+    assert done.stderr.endswith("bench.yaml: the path is not UTF-8 text, expected one\n")
 
 
 def test_check_names_every_eds_file_that_is_not_there(tmp_path):

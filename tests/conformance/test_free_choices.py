@@ -178,6 +178,32 @@ def test_a_device_that_does_not_come_back_from_its_reset_is_told_in_one_line() -
         examine(under_test(bus, store=True), ["EMCY"])
 
 
+def test_a_parameter_that_is_not_readable_for_a_while_between_two_cases_does_not_end_the_examination() -> None:
+    bus = VirtualBus()
+    refused: list[Frame] = []
+
+    def say(frame: Frame) -> Frame:
+        if frame.can_id == ANSWER and frame.data[:4] == b"\x43\x00\x14\x01" and len(refused) < 12:
+            refused.append(frame)
+            return Frame(ANSWER, b"\x80" + frame.data[1:4] + (0x08000022).to_bytes(4, "little"))
+        return frame
+
+    dut = under_test(bus)
+    results = examine(dut, ["PDO", "OD"], lambda result: bus.says.append(say) if result.name == "PDO 1" else None)
+    assert len(refused) == 12
+    assert {result.name for result in results} >= {"PDO 33", "OD 9"}
+
+
+def test_a_device_without_emcy_misses_none_of_a_lost_heartbeat(tmp_path: Path) -> None:
+    eds = tmp_path / "silent.eds"
+    eds.write_text(eds_text({index: text for index, text in SECTIONS.items() if index not in ("1014", "1015")}))
+    results = examine(under_test(VirtualBus(SERVO_EDS), eds), ["Heartbeat"])
+    assert [result.name for result in results if result.verdict is Verdict.NOT_APPLICABLE] == [
+        "Heartbeat 6",
+        "Heartbeat 7",
+    ]
+
+
 def test_what_a_device_without_a_mappable_object_cannot_do_is_not_applicable(tmp_path: Path) -> None:
     text = SERVO_EDS.read_text().replace("PDOMapping=1", "PDOMapping=0")
     text = re.sub(

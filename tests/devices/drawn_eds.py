@@ -1,4 +1,4 @@
-"""Small EDS files in the habits of ten makers, three drives each: drawn here, no maker's text is in them."""
+"""Small EDS files in the habits of twelve makers, three drives each: drawn here, no maker's text is in them."""
 
 from __future__ import annotations
 
@@ -143,6 +143,10 @@ HABITS: Mapping[str, tuple[Callable[[Entries], None], ...]] = {
             }
         ),
     ),
+    "defaults_that_are_none": (
+        _with({(0x2100, 0): Entry(_U8, "300"), (0x2101, 0): Entry(_U16, "see manual"), (0x6080, 0): Entry(_U32, "-1")}),
+    ),
+    "objects_of_the_profile_as_text": (_with({(0x6067, 0): Entry(_TEXT, "none"), (0x6098, 0): Entry(_DOMAIN)}),),
     "types_of_their_own_and_times": (
         _with(
             {

@@ -1,4 +1,4 @@
-"""Thirty EDS files in the habits of ten makers, each through simulate, boot, map, enable and move."""
+"""EDS files in the habits of twelve makers, three drives each: each through simulate, boot, map, enable and move."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ REQUEST, ANSWER = 0x600 + NODE, 0x580 + NODE
 INVALID = 0x80000000
 #: What is said of a file, besides the units that it does not tell.
 SAID = {
-    "types_of_their_own_and_times": ("not define, taken as bytes: 2101h:0 (0041h)",),
+    "defaults_that_are_none": (
+        "2100h:0 (DefaultValue '300', left out), 2101h:0 (DefaultValue 'see manual', left out), 60",
+    ),
+    "objects_of_the_profile_as_text": (
+        "6067h:0 (data type 0009h, not as in CiA 402, left out), 6098h:0 (data type 000Fh",
+    ),
+    "types_of_their_own_and_times": ("2101h:0 (data type 0041h, which the file does not define, taken as bytes)",),
     "valid_pdos_with_such_maps": ("RPDO2 is not sent or received", "TPDO2 is not sent or received"),
 }
 

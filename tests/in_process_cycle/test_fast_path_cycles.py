@@ -335,7 +335,7 @@ def counts_stages(made: list[int]) -> Any:
     original = LineCycle._go_on_by_objects
 
     def counted(self: LineCycle, stage: int) -> int:
-        if not self.is_by_object:
+        if not self._figures["by_object"][0]:
             made.append(stage)
         return original(self, stage)
 

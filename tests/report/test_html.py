@@ -6,6 +6,7 @@ import base64
 import hashlib
 import html
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -387,6 +388,12 @@ def test_a_file_that_is_missing_is_named(tmp_path: Path, missing: str) -> None:
     with pytest.raises(UnusableInputError, match=re.escape(str(path))):
         write_report(folder)
     assert not folder.report.exists()
+
+
+def test_a_run_folder_whose_name_is_no_utf_8_has_a_report(tmp_path: Path) -> None:
+    odd = Path(os.fsdecode(os.fsencode(tmp_path) + b"/odd-\xff"))
+    shutil.copytree(run_folder(tmp_path, recording(100)).path, odd)
+    assert "odd-?" in write_report(RunFolder.open(odd)).read_text(encoding="utf-8")
 
 
 def test_the_report_of_a_servo_axis_speaks_of_a_shaft_and_of_no_web(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -221,6 +222,37 @@ def test_a_recording_with_a_row_of_units_or_iso_times_comes_in(tmp_path: Path) -
     (tmp_path / "iso.yaml").write_text("channels:\n  t_s: Time\n  v2_m_s: v2\n")
     found = read_foreign(tmp_path / "iso.csv", tmp_path / "iso.yaml")
     assert found["t_s"].tolist() == [0.0, 0.002]
+
+
+@pytest.mark.parametrize(
+    ("text", "times_s"),
+    [
+        ("Time,v2\ns,m/s\nREAL64,REAL64\n0,1\n0.5,2\n", [0.0, 0.5]),
+        ("Time,v2\n12:59:59.900,1\n13:00:00.150,2\n", [0.0, 0.25]),
+    ],
+    ids=["units and types", "times of day"],
+)
+def test_a_recording_with_more_rows_of_heads_or_times_of_day_comes_in(
+    tmp_path: Path, text: str, times_s: list[float]
+) -> None:
+    (tmp_path / "run.csv").write_text(text)
+    (tmp_path / "run.yaml").write_text("channels:\n  t_s: Time\n  v2_m_s: v2\n")
+    found = read_foreign(tmp_path / "run.csv", tmp_path / "run.yaml")
+    assert found["t_s"].tolist() == pytest.approx(times_s)
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("Time,v2\n01.05.2024 12:00,1\n01.05.2024 12:01,1\n", "column 'Time' for t_s has '01.05.2024 12:00'"),
+        ("Time,v2\n0,1\n1,ERR\n", "column 'v2' for v2_m_s has 'ERR'"),
+    ],
+)
+def test_a_column_that_is_there_without_numbers_is_named_with_its_text(tmp_path: Path, text: str, place: str) -> None:
+    (tmp_path / "run.csv").write_text(text)
+    (tmp_path / "run.yaml").write_text("channels:\n  t_s: Time\n  v2_m_s: v2\n")
+    with pytest.raises(UnusableInputError, match=re.escape(f"{place}, expected numbers, or times by ISO 8601")):
+        read_foreign(tmp_path / "run.csv", tmp_path / "run.yaml")
 
 
 @pytest.mark.parametrize("encoding", [None, "utf-8", "cp1252"], ids=["as cantools does", "utf-8", "cp1252"])

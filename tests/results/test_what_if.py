@@ -113,6 +113,15 @@ def test_a_bus_without_a_bench_is_refused_in_one_line(monkeypatch: pytest.Monkey
     assert "no SYNC within 0.25 s, expected a bench that runs" in done.stderr
 
 
+def test_a_terminal_of_80_columns_shows_every_figure_whole(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    done = hilbench("what-if", run, "--set", "line_speed_m_s=1", "--horizon", "1")
+    head = done.stdout.partition("\n\n")[0]
+    assert "probability" in head
+    assert "300 / 400" in head
+    assert head.count("…") == head.count(" … ")
+
+
 def test_the_terminal_shows_numbers_and_courses_and_the_page_is_written(run: Path, tmp_path: Path) -> None:
     page = tmp_path / "what_if.html"
     done = hilbench("what-if", run, "--set", "line_speed_m_s=9", "--horizon", "3", "--out", page)

@@ -15,6 +15,7 @@ from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.canopen.clock import Clock
 from hilbench.canopen.data_types import DataType
 from hilbench.canopen.device_pdo import RPDO_TIMED_OUT, Rpdo, Tpdo
+from hilbench.canopen.eds import require_integers
 from hilbench.canopen.emcy import COMMUNICATION_ERROR, EmergencyProducer
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
@@ -52,6 +53,8 @@ _GUARD = 0
 _WITHOUT_TOP_BIT = 0x7FFFFFFF  #: of 1005h: it means nothing there
 
 _ERROR_REGISTER = 0x1001
+#: Objects that the runtime calculates with.
+_INTEGERS = {0x1001, *range(0x1005, 0x1008), 0x100C, 0x100D, *range(0x1014, 0x101A), *range(0x1400, 0x1C00)}
 
 _COMMUNICATION_AREA = (0x1000, 0x1FFF)
 _ALL_AREAS = (0x1000, 0x9FFF)
@@ -88,6 +91,7 @@ class Device:
         self._clock = clock
         self._store = ObjectStore(od)
         self.cell = self._store.cell
+        require_integers(od, _INTEGERS)
         if not self.has(_ERROR_REGISTER):
             raise UnusableInputError(f"EDS of node {node_id}", "object 1001h is missing, a device needs it")
         self._storage = Storage(self._store, store)

@@ -193,7 +193,7 @@ class Rpdo(_Pdo):
             self._length_error = None
         if self._timer_ms is not None and self._timer_ms.value:
             self._deadline_ns = self._now_ns() + self._timer_ns(5, 1_000_000)
-            self._emcy.clear_error(RPDO_TIMED_OUT, self.number)
+        self._emcy.clear_error(RPDO_TIMED_OUT, self.number)
         if self._type.value <= 240:
             self._waiting = data
         else:
@@ -232,7 +232,7 @@ class Rpdo(_Pdo):
         if self._deadline_ns is None or now_ns <= self._deadline_ns:
             return False
         self._deadline_ns = None
-        return True
+        return self._timer_ns(5, 1_000_000) > 0  # it may have been switched off meanwhile
 
     def rephase(self, now_ns: int) -> None:
         """Give a running event timer its full time from now on."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import pickle
 import re
+from collections.abc import Container
 from copy import copy
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -18,12 +19,13 @@ import canopen
 from hilbench.canopen.data_types import NODE_ID, DataType, Value, data_type
 from hilbench.canopen.identifiers import MAPPING, RPDO_INDICES, TPDO_INDICES
 from hilbench.errors import UnusableInputError
-from hilbench.files import content, usable
+from hilbench.files import content, require_file, usable
 
 #: Bytes of a file, objects in it with their entries, and the last sub-index there is (CiA 301).
 MOST_BYTES, _MOST_OBJECTS, _LAST_SUB = 4_000_000, 65_536, 254
 #: Below it are data types; 0001h to 0007h may be mapped as placeholders.
 _FIRST_OBJECT = 0x1000
+_FIRST_OF_MAKERS = 0x2000
 _VAR = 0x7
 _ARRAY = 0x8
 _ARRAY_TYPES = (_ARRAY, 0x9)  # ObjectType ARRAY, RECORD
@@ -60,7 +62,8 @@ def load_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
     """Object dictionary of an EDS or DCF file for the device with this node id (``$NODEID`` is resolved).
 
     Raises UnusableInputError with file and line when the file cannot be read or an object in it is not usable:
-    no name, type or access type, a default or a limit that is no value of its type, a sub-index without its object.
+    no name, type or access type, a value of CiA 301's objects or of a DCF that is none of its type, a sub-index without
+    its object. Other odd defaults and limits are left out, and stand in the variable's `description`.
     """
     path = Path(path)
     return _of_node(path, node_id, _as_of(path))
@@ -111,6 +114,7 @@ def _sections(path: Path, _as_of: tuple[int, int]) -> dict[str, _Section]:
 
 def _as_of(path: Path) -> tuple[int, int]:
     """Modification time and size of a file, to detect a change."""
+    require_file(path)
     with usable(path, "read", "an EDS file"):
         status = path.stat()
     return status.st_mtime_ns, status.st_size
@@ -126,18 +130,13 @@ def object_flags(path: Path) -> dict[tuple[int, int], int]:
     return {(index, sub or 0): value for (index, sub), value in flags.items() if value}
 
 
-def undefined_types(path: Path) -> dict[tuple[int, int], int]:
-    """Data types that neither CiA 301 nor the file defines, by index and sub-index; such objects are bytes (DOMAIN).
-
-    Raises UnusableInputError as `load_eds` does.
-    """
-    objects = _object_sections(path, _sections(path, _as_of(path)))
-    codes = {
-        (index, sub or 0): _integer(path, section, "DataType", DataType.DOMAIN)
-        for (index, sub), section in objects.items()
-        if "DataType" in section.options
-    }
-    return {key: code for key, code in codes.items() if data_type(code) != code}
+def require_integers(od: canopen.ObjectDictionary, indices: Container[int]) -> None:
+    """Raise UnusableInputError for the first of these objects that is something else in the file."""
+    for found in all_variables(od):
+        code = found.data_type or 0
+        if found.index in indices and not data_type(code).is_integer:
+            what = f"{found.index:04X}h sub {found.subindex} '{found.name}' is of data type {code:04X}h"
+            raise UnusableInputError(f"EDS of node {od.node_id}", f"{what}, expected an integer")
 
 
 def _read(path: Path, sections: dict[str, _Section], objects: _Objects) -> canopen.ObjectDictionary:
@@ -397,7 +396,10 @@ def _fill_device_information(path: Path, sections: dict[str, _Section], od: cano
 def _variable_of(path: Path, section: _Section, index: int, sub: int) -> ODVariable:
     """Variable of a section that `_check_hierarchy` has passed; unknown data types are raw bytes."""
     found = ODVariable(section.options["ParameterName"], index, sub)
-    found.data_type = int(data_type(_integer(path, section, "DataType", 0)))
+    code = _integer(path, section, "DataType", 0)
+    found.data_type = int(data_type(code))
+    if code != found.data_type:
+        found.description = f"data type {code:04X}h, which the file does not define, taken as bytes"
     found.access_type = section.options["AccessType"].lower()
     found.pdo_mappable = bool(_integer(path, section, "PDOMapping", 0))
     if not _depends_on_node(path, section):
@@ -427,6 +429,9 @@ def _take_values(path: Path, section: _Section, target: ODVariable, node_id: int
                 continue  # DOMAIN and OCTET_STRING: makers write anything here, and nothing depends on it
             if attribute in ("min", "max") and _is_number(text, node_id):
                 continue  # beyond the type's range, such as 65536 of an UNSIGNED16: it limits nothing
+            if target.index >= _FIRST_OF_MAKERS and attribute != "value":  # no frame depends on it
+                target.description = f"{key} '{text}', left out"
+                continue
             place = f"{path}:{section.lines.get(key, section.line)}"
             raise UnusableInputError(
                 place, f"{key} of [{section.name}] is '{text}', expected a value of data type {kind:04X}h"

@@ -384,15 +384,14 @@ class SimulatedDrive:
 
     # --- faults ------------------------------------------------------------------------------------------------------
 
-    def fault(self, code: int, register: int = REGISTER_PROFILE, coast: bool = False) -> None:
+    def fault(self, code: int) -> None:
         """Fail with error code `code` (603Fh, EMCY): transition 13, then the reaction selected by 605Eh.
 
-        `register`: bits of 1001h. `coast`: the drive cannot brake any more (lost encoder, power stage). A fault
-        during a fault is not noted.
+        A fault during a fault is not noted.
         """
         if self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
-            self._report(code, register)
-            self._fail(code, coast)
+            self._report(code, REGISTER_PROFILE)
+            self._fail(code)
 
     def _report(self, code: int, register: int) -> None:
         self._reported.append(code)
@@ -403,9 +402,9 @@ class SimulatedDrive:
             self._reported.remove(code)
             self._device.clear_emergency(code)
 
-    def _fail(self, code: int, coast: bool = False) -> None:
+    def _fail(self, code: int) -> None:
         reaction = StopKind(self._options[objects.FAULT_REACTION_OPTION_CODE].value)
-        brakes = self._powered and not coast and reaction is not StopKind.COAST
+        brakes = self._powered and reaction is not StopKind.COAST
         self._error_code.value = code
         # FAULT is an error situation, and one is signalled in 1001h at least as generic error (CiA 301, 7.5.2.2): the
         # error of a drive in FAULT ends with the fault reset (CiA 402, transition 15), not when its cause goes.

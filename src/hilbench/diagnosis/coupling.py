@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.stretched_problem import StretchedProblem
 
 Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 #: Share of what is left of the torque by a joint alone, its stretches predicted from one another, that the other's
 #: motion has to explain; and what it may leave of the torque's rms where they are an arm.

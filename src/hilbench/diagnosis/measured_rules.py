@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit, fit
 from hilbench.diagnosis.fit_with_residual_noise import fitted, uncertainty_of, weights
@@ -27,8 +26,6 @@ from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.stretched_problem import STRETCHES, basis, own_share
 from hilbench.diagnosis.terms import RANK, Term, parts
 from hilbench.plant.effect import Domain
-
-Array = NDArray[np.float64]
 
 #: Share of the sum of squares that is left without a term by which the term has to lower it, half of it on stretches
 #: that no fit has seen; the same of a simple effect, without which no other is read aright.

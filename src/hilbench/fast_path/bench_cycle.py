@@ -96,12 +96,8 @@ class BenchFastCycle(ABC):
         """Number of cycles from now on that fit the fast path, as far as is known now."""
 
     @abstractmethod
-    def _stages(self) -> Sequence[CompiledStage] | None:
-        """Compiled stages between outputs and counting; None where a part of a cycle is Python's."""
-
-    @abstractmethod
-    def _exchange(self, begun_ns: int) -> bool:
-        """Run these parts of a cycle one by one; False where it does not fit: nothing was done, or `sent`."""
+    def _stages(self) -> Sequence[CompiledStage]:
+        """Stages between outputs and counting."""
 
     @abstractmethod
     def _account(self, frames: int, bits: int, duration_ns: int, begun_ns: int) -> None:
@@ -136,9 +132,11 @@ class BenchFastCycle(ABC):
         for slot, name in self._boundary_places:
             real[slot] = outputs[name]
         self._set_times()
-        if not self._exchange(begun_ns):
+        try:
+            for stage in (*self._stages(), self._count):
+                stage()
+        except StageAbortedError:
             return False
-        self._count()
         if self._lines is None and self._tap is not None:
             self._tap.write(self._frames_of(self._arrays.image.order[: self._arrays.left[0]["frames"]].tolist()))
             self._tap.end_cycle()
@@ -156,9 +154,9 @@ class BenchFastCycle(ABC):
 
     def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> BenchFastCycle | None:
         """This run as `exchange.exchange.ExchangeStages`; None where a part of a cycle is Python's."""
-        stages = None if self._tap is not None and self._lines is None else self._stages()
-        if stages is None:
+        if self._tap is not None and self._lines is None:
             return None
+        stages = self._stages()
         if self._of_pieces != (stages, sample, shown):
             self._of_pieces = stages, sample, shown
             filling = self._nodes.measured.filling(sample)

@@ -15,7 +15,7 @@ from hilbench.canopen.identifiers import HEARTBEAT, NmtState
 from hilbench.cia402 import objects
 from hilbench.cia402.state_machine import STATUS_MASK, State
 from hilbench.compiled import load
-from hilbench.cycle_program import CONTINUE, CompiledStage, StageAbortedError
+from hilbench.cycle_program import CONTINUE, CompiledStage
 from hilbench.exchange.frame_tap import LineTap
 from hilbench.exchange.master_node import MasterNode
 from hilbench.exchange.nodes import Nodes
@@ -120,14 +120,6 @@ class PacketCycle(BenchFastCycle):
 
     def _stages(self) -> Sequence[CompiledStage]:
         return self._packets
-
-    def _exchange(self, begun_ns: int) -> bool:
-        try:
-            for stage in self._packets:
-                stage()
-        except StageAbortedError:
-            return False
-        return True
 
     def _asked(self, outcome: int) -> bool:
         """The bus did not take the packet, or a value does not fit, or a frame has come before."""

@@ -28,81 +28,36 @@ BEFORE_SYNC, SYNC, ANSWER = 0, 1, 2
 #: for one that is only received.
 BY_CYCLES, BY_TIME, BY_ARRIVAL = 0, 1, 2
 
-#: A frame that may be on the wire in a cycle.
-FRAME = np.dtype(
-    [
-        ("cob_id", "i8"),
-        ("size", "i8"),
-        ("part", "i8"),
-        ("timing", "i8"),
-        ("clock", "i8"),  # whose time: place among those that a cycle is given
-        ("every", "i8"),
-        ("count", "i8"),  # cycles since it was on the wire
-        ("period_ns", "i8"),
-        ("next_ns", "i8"),
-        ("time_ns", "i8"),  # as in the trace
-        ("bits_on_wire", "i8"),  # in this cycle; 0: it was not there
-        ("first_sent", "i8"),  # of the fields that are put into it
-        ("last_sent", "i8"),
-        ("first_received", "i8"),  # of those that are taken from it
-        ("last_received", "i8"),
-        ("crc", "i8"),  # as `can.wire.header` has them
-        ("stuffing", "i8"),
-        ("bits", "i8"),
-        ("head", "i8"),  # of its text between time and data
-        ("head_end", "i8"),
-    ]
+#: A frame that may be on the wire in a cycle: of a device with `clock` (place among those that a cycle is given);
+#: `count`: cycles since it was on the wire; `time_ns`: as in the trace; `bits_on_wire` in this cycle, 0: it was not
+#: there; fields that are put into it, and taken from it; `crc`, `stuffing`, `bits`: as `can.wire.header` has them;
+#: `head`: of its text between time and data.
+FRAME = record_type(
+    *("cob_id", "size", "part", "timing", "clock", "every", "count", "period_ns", "next_ns", "time_ns", "bits_on_wire"),
+    *("first_sent", "last_sent", "first_received", "last_received", "crc", "stuffing", "bits", "head", "head_end"),
+    of=np.int64,
 )
 #: A value in a frame.
 FIELD = np.dtype([("frame", "i8"), ("slot", "i8"), ("offset", "i8"), ("width", "i8"), ("kind", "i8")])
 #: A set point on its way into an RPDO. `factor`: of a copy's unit.
 TARGET = np.dtype([("unit", "f8"), ("most", "i8"), ("slot", "i8"), ("source", "i8"), ("factor", "f8")])
-#: A simulated drive that follows its set point (`cia402.simulated.SimulatedDrive.follows`). Slots of objects that its
-#: device lacks are -1.
-DRIVE = np.dtype(
-    [
-        ("velocity", "i8"),  # 1: follows a velocity, 0: a torque
-        ("target", "i8"),
-        ("offset", "i8"),
-        ("set_point_unit", "f8"),
-        ("limit", "f8"),
-        ("set_point", "f8"),
-        ("limited", "i8"),
-        ("position_rad", "f8"),  # of one unit, as the next
-        ("velocity_rad_s", "f8"),
-        ("torque_Nm", "f8"),
-        ("vl_rad_s", "f8"),
-        ("overspeed_rad_s", "f8"),
-        ("origin", "i8"),
-        ("count", "i8"),
-        ("position", "i8"),
-        ("speed", "i8"),
-        ("torque", "i8"),
-        ("vl", "i8"),
-        ("position_demand", "i8"),
-        ("velocity_demand", "i8"),
-        ("torque_demand", "i8"),
-        ("statusword", "i8"),
-        ("bits", "i8"),
-    ]
+#: A simulated drive that follows its set point (`cia402.simulated.SimulatedDrive.follows`), a `velocity` or a torque.
+#: Slots of objects that its device lacks are -1; `position_rad` and the three behind it: of one unit.
+_OF_DRIVE = record_type(
+    *("velocity", "target", "offset", "limited", "origin", "count", "position", "speed", "torque", "vl"),
+    *("position_demand", "velocity_demand", "torque_demand", "statusword", "bits"),
+    of=np.int64,
 )
-#: A drive as the bench sees it: slots of what its TPDOs bring, its counter, and its units.
-FEEDBACK = np.dtype(
-    [
-        ("position", "i8"),
-        ("speed", "i8"),
-        ("torque", "i8"),
-        ("statusword", "i8"),
-        ("value", "i8"),
-        ("last", "i8"),
-        ("position_rad", "f8"),
-        ("velocity_rad_s", "f8"),
-        ("torque_Nm", "f8"),
-        ("before_rad", "f8"),
-        ("period_s", "f8"),
-        ("by_difference", "i8"),  # 1: its velocity is the difference of its positions
-    ]
+_UNITS = record_type(
+    *("set_point_unit", "limit", "set_point", "position_rad", "velocity_rad_s", "torque_Nm", "vl_rad_s"),
+    "overspeed_rad_s",
 )
+DRIVE = np.dtype([*_OF_DRIVE.descr, *_UNITS.descr])
+#: A drive as the bench sees it: slots of what its TPDOs bring, its counter, its units, and whether its velocity is the
+#: difference of its positions.
+_SLOTS = record_type("position", "speed", "torque", "statusword", "value", "last", "by_difference", of=np.int64)
+_SEEN = record_type("position_rad", "velocity_rad_s", "torque_Nm", "before_rad", "period_s")
+FEEDBACK = np.dtype([*_SLOTS.descr, *_SEEN.descr])
 #: Source of values from a TPDO of the virtual I/O: its frame, its slots among the real ones, and the first place
 #: in the twin's signals (`exchange.measured`).
 VIRTUAL_IO = np.dtype([("frame", "i8"), ("first", "i8"), ("last", "i8"), ("place", "i8")])

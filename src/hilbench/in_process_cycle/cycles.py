@@ -9,7 +9,7 @@ is the reference: before it, and before any other use of the bus, the objects ar
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -19,7 +19,7 @@ from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.identifiers import HEARTBEAT
 from hilbench.cia402.state_machine import Command
 from hilbench.compiled import load
-from hilbench.cycle_program import CONTINUE, CompiledStage
+from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.master_node import MasterNode
 from hilbench.exchange.nodes import Nodes
@@ -30,6 +30,7 @@ from hilbench.fast_path.bench_cycle import BenchFastCycle, FastPath
 from hilbench.fast_path.motors import Motors
 from hilbench.fast_path.tables import FastPathRefusedError, drive_row
 from hilbench.in_process_cycle.wiring import InOneProcess, Wiring
+from hilbench.topology.sample import CycleSample
 from hilbench.twin.in_arrays import TwinInArrays, give_counters
 
 _ENABLED = Command.ENABLE_OPERATION.value
@@ -145,23 +146,18 @@ class _Run(BenchFastCycle):
             return 0
         return min(clock.syncs_until(now_ns, until_ns) for clock, until_ns in self._until_ns)
 
-    def _exchange(self, begun_ns: int) -> bool:
-        stage = self._frames_stage
-        if stage.function(stage.argument, stage.table) != CONTINUE:
-            return False
-        for heartbeat in self._heartbeat:
-            heartbeat()
-        self._tick(begun_ns, self._ticked + 1)
-        self._hardware.step()
-        self._machine.go_on()
-        self._publish()
-        return True
-
-    def _stages(self) -> Sequence[CompiledStage] | None:
-        machine, hardware = self._machine.piece, self._hardware.step
+    def chained(self, sample: CycleSample, shown: Mapping[str, str]) -> BenchFastCycle | None:
         status, _ = self._wiring.status
-        if machine is None or not isinstance(hardware, CompiledStage) or self._wiring.frames.every(status) != 1:
-            return None
+        return super().chained(sample, shown) if self._wiring.frames.every(status) == 1 else None
+
+    def _step_hardware(self) -> None:
+        self._tick_this()
+        self._hardware.step()
+
+    def _stages(self) -> Sequence[CompiledStage]:
+        machine, hardware = self._machine.piece, self._hardware.step
+        if not isinstance(hardware, CompiledStage):
+            hardware = python_stage(self._step_hardware)
         if self._of_machine[0] is not machine:
 
             def fallback(code: int) -> bool:

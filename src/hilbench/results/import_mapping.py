@@ -8,7 +8,7 @@
       v2_m_s: {column: Bahngeschwindigkeit, factor: 0.01666667}
       tau2_Nm: M2                            # as it is
 
-A row of units behind the header is left out; dates (ISO 8601) become seconds after the first one.
+Rows of units behind the header are left out; dates (ISO 8601) and times of day become seconds after the first one.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import warnings
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
-from itertools import islice
+from functools import partial
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import example_names, find_signal, unit_of
 
 _NUMBER_OR_DATE = re.compile(r"[-+]?[.,]?\d|[-+]?(nan|inf)", re.IGNORECASE)
+_TIME_OF_DAY = re.compile(r"\d+:\d\d:\d\d")
 _CSV = (".csv", ".txt", ".tsv", ".gz")
 
 
@@ -96,7 +98,12 @@ def read_foreign(path: Path, mapping_path: Path, report: Callable[[str], None] =
         if source.column not in columns:
             expected = expected_one_of(source.column, columns)
             raise UnusableInputError(path, f"no column '{source.column}' for {name}{expected}")
-        channels[name] = source.factor * columns[source.column] + source.offset
+        values = columns[source.column]
+        if isinstance(values, str):
+            raise UnusableInputError(
+                path, f"column '{source.column}' for {name} has '{values}', expected numbers, or times by ISO 8601"
+            )
+        channels[name] = source.factor * values + source.offset
     left_out = [name for name in columns if name not in {source.column for source in mapping.channels.values()}]
     if left_out:
         report(f"columns that {mapping_path} does not name: {', '.join(left_out)}")
@@ -105,7 +112,8 @@ def read_foreign(path: Path, mapping_path: Path, report: Callable[[str], None] =
     return recording
 
 
-def _columns(path: Path, file: TextFile, report: Callable[[str], None]) -> dict[str, NDArray[np.float64]]:
+def _columns(path: Path, file: TextFile, report: Callable[[str], None]) -> dict[str, NDArray[np.float64] | str]:
+    """Values by column; of one that has neither numbers nor times a text of it."""
     if path.suffix.lower() not in _CSV:
         recording = read_recording(path)
         return {name: np.asarray(values, np.float64) for name, values in recording.channels.items()}
@@ -114,12 +122,10 @@ def _columns(path: Path, file: TextFile, report: Callable[[str], None]) -> dict[
     require_file(path)
     try:
         with open_text(path, file.encoding) as text:
-            header, first = (*islice(text, file.skip_rows, file.skip_rows + 2), "", "")[:2]
-        units = _is_row_of_units(first, file)
-        if units:
-            report(
-                f"line {file.skip_rows + 2} of {path} is no row of numbers, and taken as one of units: {first.strip()}"
-            )
+            header = next(islice(text, file.skip_rows, None), "")
+            units = dict(enumerate(takewhile(partial(_is_row_of_units, file=file), text), file.skip_rows + 1))
+        for row, line in units.items():
+            report(f"line {row + 1} of {path} is no row of numbers, and taken as one of units: {line.strip()}")
         if header.count(file.delimiter) >= MOST_COLUMNS:
             raise UnusableInputError(path, f"more than {MOST_COLUMNS} columns, expected no more")
         with warnings.catch_warnings(), open_text(path, file.encoding) as text:
@@ -128,19 +134,29 @@ def _columns(path: Path, file: TextFile, report: Callable[[str], None]) -> dict[
                 rest_of_text(path, text),
                 sep=file.delimiter,
                 decimal=file.decimal,
-                skiprows=[*range(file.skip_rows), *([file.skip_rows + 1] if units else [])],
+                skiprows=[*range(file.skip_rows), *units],
             )
     except (OSError, EOFError, zlib.error, ValueError, LookupError) as error:  # pandas' parser errors are ValueErrors
         raise UnusableInputError(path, f"cannot be read as a table ({' '.join(str(error).split())})") from error
-    columns = {}
+    columns: dict[str, NDArray[np.float64] | str] = {}
     for name in table.columns:
         try:
-            columns[str(name).strip()] = table[name].to_numpy(np.float64)
+            found: NDArray[np.float64] | str = table[name].to_numpy(np.float64)
         except ValueError:
-            with suppress(ValueError, TypeError):  # other text: no channel; asked for, it is missing
-                dates = pandas.to_datetime(table[name], format="ISO8601", utc=True)
-                columns[str(name).strip()] = ((dates - dates.iloc[0]) / pandas.Timedelta("1s")).to_numpy(np.float64)
+            texts = [str(text) for text in table[name]]
+            found = next((text for text in texts if not _NUMBER_OR_DATE.match(text)), texts[0])
+            read = pandas.to_timedelta if _TIME_OF_DAY.match(found) else _dates
+            with suppress(ValueError, TypeError):  # other text: no channel
+                times = read(table[name])
+                found = ((times - times.iloc[0]) / pandas.Timedelta("1s")).to_numpy(np.float64)
+        columns[str(name).strip()] = found
     return columns
+
+
+def _dates(texts: Any) -> Any:
+    import pandas
+
+    return pandas.to_datetime(texts, format="ISO8601", utc=True)
 
 
 def _is_row_of_units(line: str, file: TextFile) -> bool:

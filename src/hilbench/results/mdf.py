@@ -23,7 +23,7 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
-from hilbench.files import usable
+from hilbench.files import require_file, usable
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -211,7 +211,8 @@ def _xml(of: str, text: str, more: str = "") -> bytes:
 
 
 def is_ours(path: Path) -> bool:
-    """True if `MdfWriter` has written a file. Raises OSError."""
+    """True if `MdfWriter` has written a file. Raises OSError, UnusableInputError for what is no file."""
+    require_file(path)
     with open(path, "rb") as file:
         head = file.read(64)
     return len(head) == 64 and head.startswith(b"MDF     4.10    " + _PROGRAM)

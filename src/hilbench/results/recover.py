@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import fcntl
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from math import nan
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,11 +74,9 @@ class Recovery:
 
     recording: Recording
     started: datetime  #: time of the first SYNC
-    cycles: int
-    bits: int
     missed: int
+    bus_load_pct: float
     fault: str  #: what ended the run as far as its frames show it, "" for nothing
-    torn: bool  #: the trace ends in the middle of a line
 
 
 def recover_run(folder: RunFolder) -> list[Path]:
@@ -94,8 +92,12 @@ def recover_run(folder: RunFolder) -> list[Path]:
         ended = _finish_recording(folder, config)
     else:
         found = replay(config, folder)
-        write_recording(found.recording, folder.recording)
-        ended = _Ended.of(found, config)
+        recording = found.recording
+        write_recording(recording, folder.recording)
+        last_s = float(recording.time_s[-1])
+        ended = _Ended(
+            found.started, len(recording), found.missed, found.bus_load_pct, last_s, "trace.log", found.fault
+        )
     written = [folder.recording]
     if not folder.result.exists():
         result = _result(config, folder, ended, read_journal(folder.journal) if folder.journal.exists() else [])
@@ -116,14 +118,6 @@ class _Ended:
     last_s: float
     source: str  #: where the samples are from
     fault: str = ""
-
-    @classmethod
-    def of(cls, found: Recovery, config: ExperimentConfig) -> Self:
-        """State by its trace."""
-        load_pct = 100.0 * found.bits / (config.bus.bitrate * config.cycle_time_s * found.cycles)
-        last_s = float(found.recording.time_s[-1])
-        samples = len(found.recording)
-        return cls(found.started, samples, found.missed, load_pct, last_s, "trace.log", found.fault)
 
 
 def _finish_recording(folder: RunFolder, config: ExperimentConfig) -> _Ended:
@@ -185,10 +179,8 @@ def _result(config: ExperimentConfig, folder: RunFolder, ended: _Ended, changes:
 
 def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
     """Decode the frames of a run as its bench did. Raises UnusableInputError for a trace that shows no two cycles."""
-    reader = TraceReader(folder.trace)
     changes = read_journal(folder.journal) if folder.journal.exists() else None
-    found = replay_frames(config, reader, changes, folder.trace)
-    return replace(found, torn=reader.torn)
+    return replay_frames(config, TraceReader(folder.trace), changes, folder.trace)
 
 
 def replay_frames(
@@ -232,7 +224,8 @@ def replay_frames(
         raise UnusableInputError(place, f"{found}, expected at least {LEAST_SAMPLES}")
     started = datetime.fromtimestamp(first_ns * _NANOSECOND, UTC)
     recording = rows.build(started, config.description)
-    return Recovery(recording, started, count, bits, missed, fault, torn=False)
+    load_pct = 100.0 * bits / (config.bus.bitrate * config.cycle_time_s * count)
+    return Recovery(recording, started, missed, load_pct, fault)
 
 
 class CycleSplitter:

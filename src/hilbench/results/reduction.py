@@ -21,7 +21,6 @@ from hilbench.topology.signal_kinds import TIME
 
 Columns = Mapping[str, NDArray[Any]]
 Array = NDArray[np.float64]
-Interval = tuple[float, float]
 
 #: Values of a recording that are kept in memory; of a longer one it is made as short as that. 24 MB: with what
 #: consists of them that, beside a process of 290 MB with all its machine code, is below 400 MB.

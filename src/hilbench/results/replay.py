@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.can.link import Link
 from hilbench.canopen.identifiers import COB_ID, FUNCTION_CODE, NMT, RPDOS, SDO_REQUEST, SYNC
-from hilbench.errors import UnusableInputError
 
 #: Function codes of what makes nodes do something (predefined connection set): NMT, RPDO1 to 4, SDO requests.
 #: SYNC is one of them, too: synchronous RPDOs act on it.
@@ -35,9 +34,7 @@ def is_command(frame: Frame) -> bool:
     return commands_something and not can_id & (EXTENDED_FLAG | ERROR_FLAG)
 
 
-def replay(
-    frames: Iterable[Frame], link: Link, *, speed: float, commands: bool, stop: Callable[[], bool] = lambda: False
-) -> Replayed:
+def replay(frames: Iterable[Frame], link: Link, *, speed: float, commands: bool) -> Replayed:
     """Send frames as far apart as they were, `speed` times as fast; without `commands` only what nodes said.
 
     Error frames are left out: a bus makes its own; remote frames, too: nodes would answer. Raises BusError when the bus
@@ -46,8 +43,6 @@ def replay(
     done = Replayed()
     started_s, first_ns = time.monotonic(), None
     for batch in _batches(frames, speed):
-        if stop():
-            break
         if first_ns is None:
             first_ns = batch[0].time_ns
         due_s = started_s + (batch[0].time_ns - first_ns) * 1e-9 / speed
@@ -70,10 +65,3 @@ def _batches(frames: Iterable[Frame], speed: float) -> Iterator[list[Frame]]:
         batch.append(frame)
     if batch:
         yield batch
-
-
-def check_speed(speed: float) -> float:
-    """The speed itself. Raises UnusableInputError for one that is not positive."""
-    if not speed > 0:
-        raise UnusableInputError("--speed", f"{speed:g}, expected a positive factor")
-    return speed

@@ -109,9 +109,9 @@ class TwinInArrays:
         return not (looks and self._application.runs_in_vectors)
 
     @property
-    def piece(self) -> CompiledStage | None:
-        """Stage of a cycle, as `go_on`; None while a machine in vectors has an interpreted part in each."""
-        return self._application.in_vectors if self._in_vectors else self._by_objects
+    def piece(self) -> CompiledStage:
+        """Stage of a cycle, as `go_on`."""
+        return (self._application.in_vectors if self._in_vectors else None) or self._by_objects
 
     def _show_status(self) -> None:
         """Write the content of the next SYNC's TPDOs into the arrays."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,10 @@ def load_config(config: Path, **overrides: Any) -> LoadedConfig:
     """The config with the values of options; an example that is not copied yet is named. Raises UnusableInputError."""
     from hilbench.runs.config import load_with_overrides
 
+    try:
+        os.fsencode(config.absolute()).decode("utf-8")
+    except UnicodeDecodeError:  # its result could not be written
+        raise UnusableInputError(config, "the path is not UTF-8 text, expected one") from None
     try:
         return load_with_overrides(config, **overrides)
     except UnusableInputError as error:

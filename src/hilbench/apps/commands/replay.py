@@ -48,12 +48,12 @@ def replay(
 
 def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: bool) -> dict[str, Any]:
     from hilbench.apps.canopen_tools.attach import BusSession
-    from hilbench.results.replay import check_speed
     from hilbench.results.replay import replay as replay_frames
     from hilbench.results.run_folder import RunFolder
     from hilbench.results.trace_files import read_trace
 
-    check_speed(speed)
+    if not speed > 0:
+        raise UnusableInputError("--speed", f"{speed:g}, expected a positive factor")
     path = RunFolder.open(run).trace if run.is_dir() else run
     frames = read_trace(path)
     with BusSession(None, bus) as on:

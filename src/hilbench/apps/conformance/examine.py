@@ -66,7 +66,7 @@ def restore(dut: DeviceUnderTest, values: Values, when: str = "") -> list[Step]:
     for key in sorted(set(parameters), key=lambda key: (key == _SYNC_PERIOD, key)):
         answer = dut.try_to_write(*key, values[key])
         if isinstance(answer, Refusal) and answer.code == PRESENT_STATE and key == (0x1014, 0):
-            dut.try_to_write(*key, (dut.value(*key) | INVALID).to_bytes(4, "little"))
+            dut.try_to_write(*key, ((dut.number(*key) or 0) | INVALID).to_bytes(4, "little"))
             dut.try_to_write(*key, values[key])
     lost = [
         Step(f"{when}: {dut.eds.entry(index, sub)}", "", values[index, sub].hex(" "), answer_text(found), False)
@@ -90,9 +90,9 @@ def _restore_pdo(dut: DeviceUnderTest, index: int, values: Values) -> None:
     cob_id = values.get((index, 1))
     if cob_id is None:
         return
-    invalid = (int.from_bytes(cob_id, "little") | INVALID).to_bytes(4, "little")
-    dut.try_to_write(index, 1, (dut.value(index, 1) | INVALID).to_bytes(4, "little"))
-    dut.try_to_write(index, 1, invalid)
+    former = int.from_bytes(cob_id, "little")
+    for present in (dut.number(index, 1), former):
+        dut.try_to_write(index, 1, ((former if present is None else present) | INVALID).to_bytes(4, "little"))
     mapping = index + MAPPING
     count = values.get((mapping, 0))
     if count is not None:
@@ -136,6 +136,8 @@ def _examine_all(
                 continue
             for result in _of_each_axis(dut, case):
                 lost += restore(dut, before, f"after {result.name}")
+                if result.verdict is Verdict.FAILED:
+                    _check_answers(dut)
                 results.append(result)
                 on_result(result)
     finally:
@@ -163,11 +165,15 @@ def _afterwards(lost: list[Step], compared: int) -> CaseResult:
     return _result(AFTERWARDS, Verdict.FAILED, reason, lost)
 
 
-def _check_ready(dut: DeviceUnderTest) -> None:
+def _check_answers(dut: DeviceUnderTest) -> None:
     if not isinstance(dut.peek(0x1000, 0), bytes):
         dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)  # one that is STOPPED has no SDO
         if not isinstance(dut.peek(0x1000, 0), bytes):
             raise BenchFaultError(f"node {dut.node_id}: no answer to an SDO read of 1000h")
+
+
+def _check_ready(dut: DeviceUnderTest) -> None:
+    _check_answers(dut)
     for _ in dut.eds.each_axis():
         state = shown_state(dut) if dut.eds.is_drive else None
         if state in POWERED:

@@ -12,12 +12,13 @@ from hilbench.apps.devices.application import CYCLE_S, SAMPLE_S, DrivesApplicati
 from hilbench.apps.devices.behaviour import Behaviour, RefusedWrite
 from hilbench.apps.devices.node import SERIAL_NUMBER, SimulatedNode
 from hilbench.canopen.clock import Clock, MonotonicClock
+from hilbench.canopen.data_types import data_type
 from hilbench.canopen.device import Device
-from hilbench.canopen.eds import load_eds, undefined_types, variable
+from hilbench.canopen.eds import all_variables, load_eds, variable
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.object_store import SdoAbort, Value
 from hilbench.cia402.assumed import assumed_units
-from hilbench.cia402.axis import AxisDevice, axes
+from hilbench.cia402.axis import AxisDevice, axes, of_first_axis
 from hilbench.cia402.configuration import IDENTITY
 from hilbench.cia402.simulated import SimulatedDrive as Cia402Drive
 from hilbench.cia402.simulated import object_reader
@@ -37,6 +38,8 @@ from hilbench.plant.servo_axis.shaft import ServoRig
 if TYPE_CHECKING:
     from canopen import ObjectDictionary
 
+#: Objects of CiA 402 that a drive calculates with.
+_INTEGERS = (*range(0x6040, 0x6100), 0x6502)
 #: Name of the device as it says it itself (CiA 301).
 _DEVICE_NAME = 0x1008
 #: The motor that is behind a drive unless its behaviour says otherwise: rated torque brings it to 1000 rpm in 0.1 s.
@@ -56,6 +59,7 @@ def simulated_axes(
     behaviour = behaviour or Behaviour()
     od = load_eds(eds, node_id)
     _fill_in_header_objects(od)
+    odd = _odd_entries(od)
     if serial_number is not None:
         _give_serial_number(eds, od, serial_number)
     name = od.device_information.product_name or eds.stem
@@ -66,7 +70,7 @@ def simulated_axes(
         if beyond:
             known = ", ".join(map(str, there))
             raise UnusableInputError("", f"an event of axis {beyond[0]}, expected one of those that it has: {known}")
-        found = [_simulated_axis(device, axis, behaviour, name, eds) for axis in there]
+        found = [_simulated_axis(device, axis, behaviour, name, eds, odd) for axis in there]
     except UnusableInputError as error:
         raise UnusableInputError(str(eds), error.problem) from error
     for refused in behaviour.refuse:
@@ -74,20 +78,29 @@ def simulated_axes(
     return found
 
 
-def _simulated_axis(device: Device, axis: int, behaviour: Behaviour, name: str, eds: Path) -> SimulatedNode:
+def _simulated_axis(
+    device: Device, axis: int, behaviour: Behaviour, name: str, eds: Path, odd: Sequence[str]
+) -> SimulatedNode:
     units, assumptions = assumed_units(object_reader(AxisDevice(device, axis)), behaviour.units.given(), str(eds))
     port, switches = MotorPort(), behaviour.switches.switches()
     drive = Cia402Drive(device, port, units, axis=axis, switches=switches, state_change_s=behaviour.state_change_s)
     rig = _rig(units, behaviour.shaft, port)
-    notes = [*assumptions, *_bytes_of_unknown_types(eds), *device.left_out.values()]
+    notes = [*assumptions, *odd, *device.left_out.values()]
     return SimulatedNode(device, drive, port, rig, units, behaviour, notes, name, axis)
 
 
-def _bytes_of_unknown_types(eds: Path) -> list[str]:
-    found = undefined_types(eds)
-    named = ", ".join(f"{index:04X}h:{sub} ({code:04X}h)" for (index, sub), code in list(found.items())[:_MOST_NAMED])
+def _odd_entries(od: ObjectDictionary) -> list[str]:
+    """What is not taken as the file has it, in a line; CiA 402's objects that are no integers are left out."""
+    for each in all_variables(od):
+        code = each.data_type or 0
+        if of_first_axis(each.index) in _INTEGERS and not data_type(code).is_integer:
+            each.description = f"data type {code:04X}h, not as in CiA 402, left out"
+    found = [each for each in all_variables(od) if each.description]
+    for index in {each.index for each in found if of_first_axis(each.index) in _INTEGERS and "CiA" in each.description}:
+        del od[index]
+    named = ", ".join(f"{each.index:04X}h:{each.subindex} ({each.description})" for each in found[:_MOST_NAMED])
     more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
-    return [f"of data types that the file does not define, taken as bytes: {named}{more}"] if found else []
+    return [f"not as the file has it: {named}{more}"] if found else []
 
 
 def _fill_in_header_objects(od: ObjectDictionary) -> None:

@@ -139,7 +139,7 @@ def _print(answer: Answer, texts: Sequence[str], when: str) -> None:
         between = f"{largest[1]:.4g} … {largest[2]:.4g}"
         share = f"{100 * probability:.0f} %" if limits else ""
         rows.append((f"{watched.name}, {watched.unit}", f"{largest[0]:.4g}", between, f"{end[0]:.4g}", limits, share))
-    console.print(table(columns, rows, columns))
+    console.print(table(columns, rows))
     for place, watched in enumerate(outlook.watched):
         if watched.unit in ("N", "N·m"):
             console.print(f"\n{watched.name}, {watched.unit}")

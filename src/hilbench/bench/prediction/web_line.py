@@ -8,7 +8,6 @@ from functools import partial
 from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.bench.prediction.hindsight import Hindsight
 from hilbench.bench.prediction.task import Look
@@ -29,8 +28,6 @@ from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span, tension_set_point
-
-Array = NDArray[np.float64]
 
 
 def foreseen(config: BenchConfig) -> dict[str, str]:

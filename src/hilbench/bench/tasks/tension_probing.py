@@ -17,13 +17,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf, isfinite
 from operator import attrgetter
-from typing import Protocol
 
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
+from hilbench.bench.tasks.tension_task import TensionTask
 from hilbench.bench.tasks.tension_trust import TwinSignals
 from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation
 from hilbench.topology.sample import CycleSample
@@ -40,20 +40,6 @@ _UNKNOWN, _LONGEST_AT_REST_S = 0.25, 20.0
 _ALLOW = "hilbench sdo write bench 2200:7 1 (0 refuses)"
 
 
-class ProbedLoop(Protocol):
-    """A tension loop whose set-point can be shifted for a while."""
-
-    set_point_shift_N: float
-
-    @property
-    def set_point_N(self) -> float:
-        """Without the shift."""
-
-    @property
-    def closed(self) -> bool:
-        """True if it is closed on the twin."""
-
-
 class Probing(CyclicTask):
     """Probes of one tension loop; a `SettableQuantity`: 1 requests or allows one, 0 ends or refuses it.
 
@@ -63,7 +49,7 @@ class Probing(CyclicTask):
     def __init__(
         self,
         config: ProbingConfig,
-        loop: ProbedLoop,
+        loop: TensionTask,
         signals: TwinSignals,
         line_speed: Reference,
         state: BenchState,

@@ -10,12 +10,9 @@ from functools import lru_cache
 from math import exp, factorial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.compiled import Vector
 from hilbench.plant.web_line.shaft_load import follow
-
-Matrix = NDArray[np.float64]
 
 #: Position, speed, acceleration, jerk.
 ORDER = 4

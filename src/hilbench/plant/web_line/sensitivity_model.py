@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, Vector, entry_point, floats, integers, table_of
+from hilbench.compiled import COUNT, TABLE, Reals, Reals2, Vector, Wholes2, arrays_in, entry_point, table_of
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.line_follower import LineFollower, PerturbedCopies
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -29,14 +29,25 @@ _LEAST_LEFT: Final = 0.05
 _DAMPING_S: Final = 1e-3
 
 
+class _Loads(NamedTuple):
+    """Tensions (F, K), radii over those at the start (N,), load per tension (N, K), perturbations (n,), errors (n,),
+    observability of unknowns by tensions (n, K), the axis, from 0, and the unknown of each reel, and the sensitivities
+    (N, n + 1)."""
+
+    tensions: Reals2
+    ratios: Reals
+    pulls: Reals2
+    steps: Reals
+    errors: Reals
+    identifies: Reals2
+    reels: Wholes2
+    slopes: Reals2
+
+
 @entry_point(COUNT, TABLE)
 def _put_load_slopes(unused: int, table: NDArray[np.int64]) -> int:
-    """Update the load sensitivities. Table: tensions (F, K), radii over those at the start (N,), load per tension (N,
-    K), perturbations (n,), errors (n,), observability of unknowns by tensions (n, K), the axis, from 0, and the unknown
-    of each reel, and the sensitivities (N, n + 1)."""
-    tensions, ratios, pulls = floats(table, 0, (1, 2)), floats(table, 1, (1,)), floats(table, 2, (1, 2))
-    steps, errors, identifies = floats(table, 3, (1,)), floats(table, 4, (1,)), floats(table, 5, (1, 2))
-    reels, slopes = integers(table, 6, (1, 2)), floats(table, 7, (1, 2))
+    """Update the load sensitivities."""
+    tensions, ratios, pulls, steps, errors, identifies, reels, slopes = arrays_in(table, _Loads)
     for i in range(pulls.shape[0]):
         for c in range(len(steps)):
             pull = 0.0
@@ -142,9 +153,9 @@ class SensitivityModel:
         radii = [(each.number - 1, place) for each, place in self.places.items() if each.kind is Kind.RADIUS]
         reels = np.array(radii, np.int64).reshape(-1, 2)
         lines, identifies = self._all, self._identified_moduli()
-        self._kept = (
-            lines.tensions_N, lines.ratios, self._pulls, self._steps, self._errors, identifies, reels, self.load_slopes,
-        )  # fmt: skip
+        self._kept = _Loads(
+            lines.tensions_N, lines.ratios, self._pulls, self._steps, self._errors, identifies, reels, self.load_slopes
+        )
         self._slopes_table = table_of(self._kept)
 
     def _of(self, kind: Kind) -> list[Unknown]:

@@ -21,7 +21,6 @@ from hilbench.plant.web_line import kernel, records
 from hilbench.plant.web_line.shaft_load import load_torque_Nm
 from hilbench.prediction.judging import TallyVectors, keep, see
 
-Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 # Watched quantities.

@@ -42,7 +42,6 @@ from hilbench.plant.web_line import kernel, laws, records
 from hilbench.plant.web_line.records import LineArrays
 from hilbench.prediction.judging import TallyVectors, keep, see
 
-Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 

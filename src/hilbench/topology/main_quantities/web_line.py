@@ -75,7 +75,6 @@ def main_quantities(shape: Shape) -> tuple[MainQuantity, ...]:
 
 
 MODULUS: Final = modulus()
-SET_POINT: Final = set_point()
 #: The smallest bench with a web line.
 SMALLEST: Final = Shape(2, ("load",), 1, (1,), (1,))
 SPEED: Final = line_speed(SMALLEST)

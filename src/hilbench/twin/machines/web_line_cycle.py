@@ -313,11 +313,6 @@ class LineCycle:
         self._own, self._of = self._by_object, list[Places]()
         self._fallback: Callable[[int], bool] = never
 
-    @property
-    def is_by_object(self) -> bool:
-        """True if it is not in vectors: the line is stepped by its object."""
-        return bool(self._figures["by_object"][0])
-
     def compare(
         self,
         positions_rad: Sequence[float],
