@@ -1,4 +1,4 @@
-"""Runs whose plain and interpreted cycles are compared: what is done between cycles, and what a run leaves behind."""
+"""Runs whose fast-path and interpreted cycles are compared: what is done between cycles, and what a run leaves."""
 
 from __future__ import annotations
 

@@ -306,7 +306,7 @@ DRIVE_OBJECTS = (
 MOST_SPANS = 16
 #: Of the longest one with an estimate at each span, for a file of its own: every other bench would read it in vain.
 MOST_SPANS_OF_LONG = 23
-#: Dancers, accumulators and reels, each with a sensor, carriages each with a force that is told ahead.
+#: Dancers, accumulators and reels, each with a sensor, carriages each with a force that is fed forward.
 MOST_STATIONS = 6
 
 

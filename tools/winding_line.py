@@ -35,7 +35,7 @@ _START_2_S: Final = 0.2
 _SHORTEST_S: Final = 1e-3
 #: Substeps of a set point's hold in which two lags in series are simulated.
 _SUBSTEPS: Final = 20
-#: Variance inflation from which a parameter can't be told from the others.
+#: Variance inflation from which a parameter can't be separated from the others.
 _COLLINEAR: Final = 10.0
 _STEP: Final = 1e-4
 

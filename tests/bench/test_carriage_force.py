@@ -1,4 +1,4 @@
-"""A force on the carriage of an accumulator that is told ahead: what it is, and what it leaves of a reel change."""
+"""A force on the carriage of an accumulator that is fed forward: what it is, and what it leaves of a reel change."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ MOVING = [{"ramp": {"path": "line_speed_m_s", "to": 0.5, "duration_s": 0.2}}, {"
 CALLS = 250
 #: 0.5 m/s are 12.5 rad/s of the motors.
 AT_REST_RAD_S = 1.0
-#: What plain cycles (`hilbench.in_process_cycle`) do without.
+#: What fast-path cycles (`hilbench.in_process_cycle`) do without.
 OF_INTERPRETED_CYCLES = {
     (Nodes, "decode"),
     (Nodes, "encode"),

@@ -96,10 +96,9 @@ class Axis:
         return Proposer(self.model, data, [find_effect(effect_id) for effect_id in vocabulary])
 
     def term(self, effect_id: str, **values: float) -> Term:
-        """A plain term of an effect with these values."""
-        (plain, *_) = self.proposer(effect_id).plain()
-        here = plain.coordinates({**plain.values, **values})
-        return plain.at(here)
+        """A term of an effect with these values, not searched for."""
+        (first, *_) = self.proposer(effect_id).direct()
+        return first.at(first.coordinates({**first.values, **values}))
 
 
 class Ringing:

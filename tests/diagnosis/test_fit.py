@@ -93,7 +93,7 @@ def test_a_delay_is_found_from_far_off(delay_s: float) -> None:
         {"order": 1e-4},
         0.1,
     )
-    probes = axis.proposer("torque_delay").plain()
+    probes = axis.proposer("torque_delay").direct()
     assert len(probes) == 4
     best = min((fit(axis.space, WHITE, [base, probe]) for probe in probes), key=lambda found: found.train)
     assert best.terms[1].values["delay_s"] == pytest.approx(delay_s, abs=1e-4)
@@ -102,7 +102,7 @@ def test_a_delay_is_found_from_far_off(delay_s: float) -> None:
 def test_a_fit_that_can_not_reach_what_is_asked_is_given_up_early() -> None:
     """A delay, of which many strengths are tried, is not searched for once it has lost."""
     axis = Axis(COULOMB, effect("torque_ripple", 1, amplitude_Nm=1.0, order=3.0, phase_rad=0.3))
-    wrong = [axis.proposer("torque_delay").plain()[0]]
+    wrong = [axis.proposer("torque_delay").direct()[0]]
     whole = fit(axis.space, WHITE, wrong)
     cost = axis.space.simulations
     given_up = fit(axis.space, WHITE, wrong, worth=0.5 * whole.train)

@@ -256,7 +256,7 @@ def test_proposals_cover_the_vocabulary() -> None:
     plain = model()
     data = measured_from(hidden_recording(plain, [], duration_s=10.0), plain, "blind")
     made = Proposer(plain, data)
-    ids = {t.effect.id for t in made.plain()} | {
+    ids = {t.effect.id for t in made.direct()} | {
         t.effect.id for t in made.onsets(find_effect("elasticity_step"), made.onset_times_s()[0], [])
     }
     noise = {name: np.random.default_rng(0).standard_normal(5000) for name in ("tau1_Nm", "tau2_Nm")}
@@ -271,7 +271,7 @@ def test_a_lone_axis_has_no_effects_of_a_web() -> None:
     assert EffectEntry(effect="coulomb_friction", axis=1, parameters={"force_N": 1.0})
     plain = model()
     data = measured_from(hidden_recording(plain, [], duration_s=10.0), plain, "blind")
-    assert {t.effect.per_axis for t in Proposer(axis, data).plain()} == {True}
+    assert {t.effect.per_axis for t in Proposer(axis, data).direct()} == {True}
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=4, max_size=8), st.integers(2, 10), st.integers(0, 2**32 - 1))
@@ -389,4 +389,4 @@ def test_unbalance_is_proposed_at_every_axis_and_shows_in_the_torque_a_lone_axis
     required_torque_Nm(lay.pack(axis), x, np.zeros(len(x)), np.zeros(len(x)), 0.01, out)
     assert out == pytest.approx(-2.0 * np.sin(x + 0.3))
     data = measured_from(hidden_recording(model(), [], duration_s=6.0), model(), "blind")
-    assert [t.axis for t in Proposer(model(), data).plain() if t.effect.id == "unbalance"] == [1, 2]
+    assert [t.axis for t in Proposer(model(), data).direct() if t.effect.id == "unbalance"] == [1, 2]

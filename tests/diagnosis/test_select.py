@@ -110,7 +110,7 @@ def test_a_residual_that_nothing_offered_explains_stays_and_is_not_spread_over_w
 
 def test_every_parameter_and_every_variant_that_was_searched_has_its_price() -> None:
     axis = Axis()
-    friction, stribeck = axis.term("coulomb_friction"), axis.proposer("stribeck_friction").plain()
+    friction, stribeck = axis.term("coulomb_friction"), axis.proposer("stribeck_friction").direct()
     assert len(stribeck) == 3
     one = price([friction], 1000.0)
     assert one > np.log(1000.0)

@@ -169,7 +169,7 @@ def test_recordings_that_no_bench_has_made_are_refused_in_one_line() -> None:
     with pytest.raises(UnusableInputError, match="expected a recording of a bench that emulates it"):
         measured_from(without, machine(DANCER), "a stand")
     under_way = Recording({name: values[400:] for name, values in recording.channels.items()})
-    with pytest.raises(UnusableInputError, match="under way at the first row"):
+    with pytest.raises(UnusableInputError, match="in motion at the first row"):
         measured_from(under_way, machine(DANCER), "a bench")
 
 

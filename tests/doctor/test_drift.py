@@ -12,8 +12,8 @@ import pytest
 import yaml
 from tests.cli.in_process import hilbench
 
-from hilbench.apps.doctor.asked import LastRun, last_run
 from hilbench.apps.doctor.drift import Drift, NodeAnswers, drifts
+from hilbench.apps.doctor.drive_answers import LastRun, last_run
 from hilbench.bench.lifecycle.in_process import InProcess
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.canopen.sdo_client import SdoClient
@@ -231,7 +231,7 @@ def test_what_a_node_says_is_written_into_the_config_on_request(
     config = folder / "line.yaml"
     before = config.read_text()
     said = device(folder, tmp_path, "axis2", {"6076h": 2500, "1008h": "other"})
-    monkeypatch.setattr("hilbench.apps.doctor.asked.ask_stand", lambda config, **_: (said, frozenset(PARTS)))
+    monkeypatch.setattr("hilbench.apps.doctor.drive_answers.read_stand", lambda config, **_: (said, frozenset(PARTS)))
     try:
         shown = json.loads(drift(folder, "--write", "axis2.6076h", "--json", code=1))
         assert {each["key"] for each in shown["drifts"]} == {"axis2.6076h", "axis2.1008h"}
@@ -251,7 +251,7 @@ def test_an_exchanged_device_gets_its_eds_file(
     said = device(folder, tmp_path, "load", {"1018h:2": "0x999"})
     other = with_defaults(EDS, folder / "other.eds", {"1018h:2": "0x999"})
     other.write_text(re.sub(r"(?m)^ProductNumber=.*$", "ProductNumber=0x999", other.read_text()))
-    monkeypatch.setattr("hilbench.apps.doctor.asked.ask_stand", lambda config, **_: (said, frozenset(PARTS)))
+    monkeypatch.setattr("hilbench.apps.doctor.drive_answers.read_stand", lambda config, **_: (said, frozenset(PARTS)))
     try:
         drift(folder, "--write", "all", code=1)
         assert "eds: other.eds" in config.read_text()

@@ -57,7 +57,7 @@ A_MOMENT_S = 0.05
 class Left:
     """What a run left behind."""
 
-    plain: int = 0  #: cycles of the bench
+    fast_path: int = 0  #: cycles of the bench
     chained: int = 0  #: those of them that went without Python
     of_hosts: Counter[type] = field(default_factory=Counter)  #: SYNCs that hardware and twin have answered on arrays
     samples: list[bytes] = field(default_factory=list)
@@ -77,12 +77,12 @@ def served(loaded: Any, *, compiled: bool) -> Iterator[list[HostedDevices]]:
     for hosted, link in zip(all_hosted, links, strict=True):
         host = DeviceHost(link, *hosted)
         of_twin = hosted is all_hosted[1]
-        plain = (
+        fast = (
             twins_plain_host(host, link, hosted, twin_setup(config))
             if of_twin
             else fast_path_host(host, link, hosted, config)
         )
-        arguments = (stop.is_set, plain.serve if compiled and plain is not None else None)
+        arguments = (stop.is_set, fast.serve if compiled and fast is not None else None)
         threads.append(threading.Thread(target=host.run, args=arguments, daemon=True))
     try:
         for thread in threads:
@@ -99,14 +99,14 @@ def served(loaded: Any, *, compiled: bool) -> Iterator[list[HostedDevices]]:
 def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, how: How) -> Left:
     """A bench that runs for so many cycles, with what is done in between, by cycle."""
     left, samples, compiled = Left(), Samples(), how is not How.INTERPRETED
-    cycle, plain, serve = FastPathExchange.cycle, PacketCycle.cycle, FastPathHost.serve
+    cycle, fast, serve = FastPathExchange.cycle, PacketCycle.cycle, FastPathHost.serve
 
     def compiled_or_not(self: FastPathExchange, outputs: Any) -> bool:
         return compiled and cycle(self, outputs)
 
     def counted(self: PacketCycle, outputs: Any) -> bool:
-        done = plain(self, outputs)
-        left.plain += done
+        done = fast(self, outputs)
+        left.fast_path += done
         return done
 
     def counted_by_host(self: FastPathHost, timeout_s: float) -> None:
@@ -127,7 +127,7 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
         bench = Bench(loaded.config, observers=[samples], tap=tap, participants=Participants.PRESENT)
         left.ending = ending_of(bench, cycles, changes, together=how is How.CHAINED)
     left.chained = chained()
-    left.plain += left.chained
+    left.fast_path += left.chained
     left.samples = samples.kept
     left.notices = notices_of(bench)
     # While the drives are stopped nobody waits for the twin.
@@ -137,8 +137,8 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
 
 
 def check(folder: Path, options: Sequence[str], changes: Sequence[tuple[int, Change]], **what: Any) -> Left:
-    """All kinds of cycles make the same; `least`: so many of them are plain at least, on each side; half as many are
-    chained where they can be (`chains`)."""
+    """All kinds of cycles make the same; `least`: so many of them are fast-path cycles at least, on each side; half as
+    many are chained where they can be (`chains`)."""
     name, cycles, least = what.get("name", "web_section_step"), what.get("cycles", 150), what.get("least", 60)
     chain = what.get("chains", True)
     kinds = []
@@ -147,10 +147,10 @@ def check(folder: Path, options: Sequence[str], changes: Sequence[tuple[int, Cha
         loaded = load_with_overrides(CONFIGS / f"{name}.yaml", changes=[f"bus.address={bus}", *options])
         kinds.append(run(folder, loaded, changes, cycles, how))
     reference, one_by_one, chained = kinds
-    assert (reference.plain, reference.of_hosts.total()) == (0, 0)
+    assert (reference.fast_path, reference.of_hosts.total()) == (0, 0)
     assert chained.chained >= least // 2 * chain
     for left in (one_by_one, chained):
-        assert min(left.plain, left.of_hosts[RigFastCycle], left.of_hosts[TwinFastCycle]) >= least
+        assert min(left.fast_path, left.of_hosts[RigFastCycle], left.of_hosts[TwinFastCycle]) >= least
         assert left.ending == reference.ending
         assert left.samples == reference.samples
         assert left.notices == reference.notices

@@ -1,5 +1,5 @@
-"""What comes between a SYNC and the axes' answers to it: the twin's plain cycles go on in objects there, and say the
-same. The hub is the test: it plays to two twins what a third one has heard from a bench."""
+"""What comes between a SYNC and the axes' answers to it: the twin's fast-path cycles go on in objects there, and say
+the same. The hub is the test: it plays to two twins what a third one has heard from a bench."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def standing_clock() -> Iterator[None]:
 
 
 class Played:
-    """What a twin has answered to packets, and how its plain cycles ended: SYNCs answered, axes waited for."""
+    """What a twin has answered to packets, and how its fast-path cycles ended: SYNCs answered, axes waited for."""
 
     def __init__(self, packets: Sequence[Packet], *, compiled: bool) -> None:
         self.said: list[Packet] = []
@@ -100,8 +100,8 @@ class Played:
             until_sync.enter_context(standing_clock())
             hosted = twin(setup)
             host = DeviceHost(link, *hosted)
-            plain = fast_path_host(host, link, hosted, setup)
-            serve = plain.serve if compiled and plain is not None else host.serve
+            fast = fast_path_host(host, link, hosted, setup)
+            serve = fast.serve if compiled and fast is not None else host.serve
             host.boot()
             for packet in packets:
                 if any(frame.can_id == SYNC for frame in packet):
@@ -113,8 +113,8 @@ class Played:
                 hub.send(protocol.HEADER.pack(protocol.KIND_CLASSICAL, 0) + records)
                 serve(A_MOMENT_S)
                 self.said += self._answers(hub)
-            if plain is not None:
-                plain.settle()
+            if fast is not None:
+                fast.settle()
         self.objects = objects_of([hosted])
         application = hosted.application
         assert isinstance(application, TwinApplication)

@@ -51,7 +51,7 @@ EPOCH_NS = 1_700_000_000_123_456_789
 class Left:
     """What a run left behind."""
 
-    plain: int = 0  #: cycles
+    fast_path: int = 0  #: cycles
     chained: int = 0  #: those of them that went without Python
     trace: list[str] = field(default_factory=list)
     samples: dict[str, bytes] = field(default_factory=dict)
@@ -64,11 +64,11 @@ class Left:
 def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, how: How) -> Left:
     """A bench that runs for so many cycles, with what is done in between, by cycle."""
     left, hosted = Left(), list[HostedDevices]()
-    plain = FastPathCycles.cycle
+    fast = FastPathCycles.cycle
 
     def counted(self: FastPathCycles, outputs: Any) -> bool:
-        done = how is not How.INTERPRETED and plain(self, outputs)
-        left.plain += done
+        done = how is not How.INTERPRETED and fast(self, outputs)
+        left.fast_path += done
         return done
 
     def kept(make: Callable[..., HostedDevices]) -> Callable[..., HostedDevices]:
@@ -98,7 +98,7 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
         )
         left.ending = ending_of(bench, cycles, changes, together=how is How.CHAINED)
     left.chained = chained()
-    left.plain += left.chained
+    left.fast_path += left.chained
     recording = recorder.recording(datetime.fromtimestamp(0, UTC), "")
     left.samples = {name: recording[name].tobytes() for name in recording.channels}
     left.notices = notices_of(bench)
@@ -119,13 +119,13 @@ def check(
     *,
     chains: bool = True,
 ) -> Left:
-    """All kinds of cycles make the same; `least`: so many of them are plain at least, and so many of these go without
-    Python where all of a cycle can (`chains`)."""
+    """All kinds of cycles make the same; `least`: so many of them are fast-path cycles at least, and so many of these
+    go without Python where all of a cycle can (`chains`)."""
     reference = run(folder, loaded, changes, cycles, How.INTERPRETED)
-    assert reference.plain == 0
+    assert reference.fast_path == 0
     for how in (How.ONE_BY_ONE, How.CHAINED):
         left = run(folder, loaded, changes, cycles, how)
-        assert left.plain >= least
+        assert left.fast_path >= least
         assert left.chained >= (least // 2 if how is How.CHAINED and chains else 0)
         assert left.ending == reference.ending
         assert [name for name in left.samples if left.samples[name] != reference.samples[name]] == []
@@ -146,7 +146,7 @@ def sends(*frames: Frame) -> Change:
         assert bench.exchange is not None
         link = bench.exchange._sync._link._participants.bus.open_link()  # type: ignore[attr-defined]
         link.send(frames)
-        link.close()  # one that stays would hear all, and no cycle would be plain
+        link.close()  # one that stays would receive all, and no cycle would fit the fast path
 
     return change
 
@@ -326,7 +326,7 @@ def test_who_reads_and_finds_nothing_ends_no_plain_cycles(tmp_path: Path) -> Non
     loaded = load_with_overrides(CONFIGS / "web_section_step.yaml")
     with patch.object(FastPathCycles, "settle", counted):
         left = run(tmp_path, loaded, [(20, opens), (60, reads)], 80, How.ONE_BY_ONE)
-    assert left.plain >= 40
+    assert left.fast_path >= 40
     assert left.ending == ""
 
 
@@ -382,7 +382,7 @@ def test_a_twin_of_several_spans_that_joins_under_way_finds_the_same(tmp_path: P
     changes = [(20, sets("line_speed_m_s", 1.0)), (300, restarts_the_twin)]
     loaded = load_with_overrides(CONFIGS / "line_two_spans.yaml")
     one, other = (run(tmp_path, loaded, changes, 1000, how) for how in (How.CHAINED, How.INTERPRETED))
-    assert one.plain >= 600
+    assert one.fast_path >= 600
     assert one.samples == other.samples
 
 

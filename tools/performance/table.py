@@ -75,7 +75,7 @@ SHOWN = {
     "Model kernel, one span": ("kernel", "plain Python", "scipy solve_ivp"),
     "Model kernel, spans": ("100 spans",),
     "PDO path per cycle": ("codec", "canopen's PDO objects", "the bench's whole path"),
-    "The twin, one span": ("a plain cycle", "a cycle by objects"),
+    "The twin, one span": ("a fast-path cycle", "a cycle by objects"),
     "Lockstep, the demo": ("speed", "speed with --in-process"),
     "Other machines, in one process": (
         "line_three_spans",

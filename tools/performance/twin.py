@@ -34,15 +34,15 @@ def measure(model: ModelParameters) -> Section:
     section = Section(
         "The twin, one span",
         "CPU of a cycle of the twin without its devices, the default method: what was measured in, compared and "
-        f"estimated, the machine simulated for {1000.0 * _CYCLE_S:g} ms, what is shown out. In a plain cycle that "
+        f"estimated, the machine simulated for {1000.0 * _CYCLE_S:g} ms, what is shown out. In a fast-path cycle that "
         "is one compiled call.",
     )
-    plain = min(_run(model, 1, _in_vectors) for _ in range(_RUNS))
-    section.add("a plain cycle", 1e6 * plain, "µs")
+    fast = min(_run(model, 1, _in_vectors) for _ in range(_RUNS))
+    section.add("a fast-path cycle", 1e6 * fast, "µs")
     many = _run(model, _BESIDE, _in_vectors) / _BESIDE
-    section.add(f"each of {_BESIDE} beside each other", 1e6 * many, "µs", many / plain, "a plain cycle")
+    section.add(f"each of {_BESIDE} beside each other", 1e6 * many, "µs", many / fast, "a fast-path cycle")
     objects = min(_run(model, 1, _by_objects) for _ in range(_RUNS))
-    section.add("a cycle by objects", 1e6 * objects, "µs", objects / plain, "a plain cycle")
+    section.add("a cycle by objects", 1e6 * objects, "µs", objects / fast, "a fast-path cycle")
     return section
 
 

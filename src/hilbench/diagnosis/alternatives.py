@@ -131,7 +131,7 @@ class FreeRules(Steps):
         return None
 
     def _as_a_force(self, current: Fit, k: int, white: Whitening) -> tuple[float, float, float]:
-        """By how much the sum of squares rises when term k is a step of a force instead; the force, N, and its time, s.
+        """Rise of the sum of squares when term k is a step of a force instead; the force, N, and its time, s.
 
         The force is looked for near the time of the term, with the other terms free to adapt to it.
         """
@@ -153,7 +153,7 @@ class FreeRules(Steps):
         return best[0] - close, best[1], best[2]
 
     def _acting_alike(self, white: Whitening, current: Fit, k: int, other: Term, left: Array) -> Term | None:
-        """What is tried in the place of term k, as strong as that where the two act alike; None where they do not.
+        """Alternative to term k, as strong as that where the two act alike; None where they do not.
 
         left: raw residual without term k. Where play makes the machine's response rough, that promises another
         strength, from which the fit does not come back, and what a small step of a strength does says nothing.

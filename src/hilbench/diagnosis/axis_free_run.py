@@ -16,12 +16,12 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 
 Array = NDArray[np.float64]
 
-#: Speed below which the shaft stands, where dry friction is not one law but many, how long that acts on what comes
+#: Speed below which the shaft is at rest, where dry friction is not one law but many, how long that acts on what comes
 #: after it, s, and the share of a recording that may be left out.
 _STANDSTILL_RAD_S: Final = 0.1
 _MOVING_S: Final = 0.25
 _MOSTLY: Final = 0.6
-#: Speed from which a recording counts as begun under way, and how long its start is then left out, s.
+#: Speed from which a recording counts as begun in motion, and how long its start is then left out, s.
 _MOVES_RAD_S, _SETTLES_S = 0.2, 1.0
 _TURN: Final = 2.0 * np.pi
 
@@ -46,7 +46,7 @@ class AxisFreeRun:
         self.rows = self._usable()
 
     def _usable(self) -> NDArray[np.bool_]:
-        """Not standstill and what it acts on, not the transient of a start under way."""
+        """Rows without standstill and what it acts on, and without the transient of a start in motion."""
         data = self._data
         slow = np.abs(self._commands) < _STANDSTILL_RAD_S
         near = np.convolve(slow, np.ones(round(_MOVING_S / data.period_s) + 1), "full")[: len(slow)] > 0.0

@@ -57,7 +57,7 @@ _LOOP_SHARE: Final = 0.1
 #: Gauss–Newton steps with the derivatives of the beginning, before one with those of where they end: strengths are
 #: nearly linear.
 _STEPS: Final = 3
-#: Finite-difference steps, as a share of those of a search: a scale and an inertia that are tied must not be told apart
+#: Finite-difference steps, as a share of those of a search: a scale and an inertia that are tied must not be separated
 #: by the curvature of their differences.
 _FINE: Final = 0.01
 #: Deviations from which a ripple of an order that was searched for is one: among a thousand orders and three axes
@@ -103,7 +103,7 @@ def commissioned(
     data = measured_from(recording, model, place)
     predictor = choice(model, data, emulation).predictor
     space, proposer = Space(model, predictor, data.period_s), Proposer(model, data)
-    terms = [term for term in proposer.plain() if term.effect.id in (*MEASURED, *_BESIDE) and has_own(term, model)]
+    terms = [term for term in proposer.direct() if term.effect.id in (*MEASURED, *_BESIDE) and has_own(term, model)]
     terms += [*_loops(model, proposer), *_once_a_turn(proposer)]
     shares = {
         "torque_scale": 0.01 * errors.torque_scale_pct,
@@ -291,10 +291,10 @@ _SAME_RADIUS: Final = 0.01
 
 
 def has_own(term: Term, model: Machine) -> bool:
-    """Whether there is something of its own to be told of it.
+    """True if the data have information on this term by itself.
 
-    What is of all spans is told of each. Rollers of one radius keep their angles to each other, so that the web shows
-    how far each is out of true beyond the first: of that one nothing is told then.
+    What is of all spans is stated of each. Rollers of one radius keep their angles to each other, so that the web shows
+    how far each is out of true beyond the first: of that one nothing is stated then.
     """
     if term.effect.per_section and term.section is None and model.span_count > 1:
         return False

@@ -58,7 +58,7 @@ _ERRORS, _OVER_THE_REST, _DRIFT = 3.5, 2.0, 0.05
 _BAND, _WIDER, _LEAST_BAND_HZ = 0.95, 3.0, 5.0
 #: How many times as large the rest may be as it was before, until something has changed that nothing explains.
 _MORE_REST: Final = 2.0
-#: Corner in which an inertia is first estimated, Hz; speed, as a share of the highest, below which an axis stands.
+#: Corner in which an inertia is first estimated, Hz; speed, as a share of the highest, below which an axis is at rest.
 _CORNER_HZ, _STANDSTILL = 10.0, 0.02
 
 
@@ -74,7 +74,7 @@ class Run:
 def compared(
     after: Run, before: Run, model: Machine | None, announce: Announce = lambda text, share: None
 ) -> Diagnosis:
-    """What changed from `before` to `after`: effects with the size of the change, beside `before` of each value.
+    """Diagnose the change from `before` to `after`: effects with its size, beside `before` of each value.
 
     model: of the machine; None for a lone axis of which nothing is known: then its inertia comes from the recordings.
     Gaps and residuals are those of `after`, with the machine as it was before and as it is found now; so is the model.
@@ -210,7 +210,7 @@ def _changed(found: Diagnosis, joint: _Joint, lacked: list[NamedEffect]) -> Diag
 
 
 def _simplest(after: Explained) -> Explained:
-    """With one effect in the place of several where it is as good as they are: that is what happened."""
+    """Explanation with one effect in place of several where it is as good as they are: that is what happened."""
     space, selection = after.space, after.selection
     if len(after.terms) < 2:
         return after

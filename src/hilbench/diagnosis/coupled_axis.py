@@ -20,17 +20,17 @@ from hilbench.plant.effect import Effect
 from hilbench.plant.model_file import Machine
 
 #: Effects that change all of a torque, and so what the other axis makes of it, which is not known beforehand; an
-#: inertia, to which what is carried adds; and a shaft that swings, which an arm does by itself.
-_UNTOLD: Final = frozenset({"torque_scale", "torque_delay", "feed_forward", "inertia_mismatch", "resonance"})
-#: The experiment that tells them.
+#: inertia, to which what is carried adds; and a torsional mode, which an arm has by itself.
+_UNIDENTIFIABLE: Final = frozenset({"torque_scale", "torque_delay", "feed_forward", "inertia_mismatch", "resonance"})
+#: The experiment that identifies them.
 OTHER_HELD: Final = "the same motion while the other axis is held"
 
 
-def untold_beside(predictor: Predictor, model: Machine) -> tuple[Effect, ...]:
+def unidentifiable_beside(predictor: Predictor, model: Machine) -> tuple[Effect, ...]:
     """Effects that are not identifiable with another axis coupled; none where there is no other."""
     if not is_coupled(predictor):
         return ()
-    return tuple(effect for effect in machines.vocabulary(model) if effect.id in _UNTOLD)
+    return tuple(effect for effect in machines.vocabulary(model) if effect.id in _UNIDENTIFIABLE)
 
 
 def proposer_for(predictor: Predictor, model: Machine, data: Measured, without: Collection[str] = ()) -> Proposer:
@@ -39,9 +39,9 @@ def proposer_for(predictor: Predictor, model: Machine, data: Measured, without: 
     With another axis coupled, gravity is looked for in any arc: else it is taken for one of the torques that go with
     both.
     """
-    untold = untold_beside(predictor, model)
+    unidentifiable = unidentifiable_beside(predictor, model)
     vocabulary = tuple(
-        effect for effect in machines.vocabulary(model) if effect not in untold and effect.id not in without
+        effect for effect in machines.vocabulary(model) if effect not in unidentifiable and effect.id not in without
     )
     return Proposer(model, data, vocabulary, any_arc=is_coupled(predictor))
 

@@ -48,7 +48,7 @@ class Motion:
 
     @classmethod
     def of(cls, angle: Array, period_s: float) -> Motion:
-        """By differences."""
+        """Motion by differences of the angle."""
         speed = np.gradient(angle, period_s)
         return cls(angle, speed, np.gradient(speed, period_s))
 

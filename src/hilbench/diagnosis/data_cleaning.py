@@ -40,7 +40,7 @@ _BESIDE, _WRAP, _LARGEST_STEP = 5, 4.0, 3.0
 _AROUND, _SHARE = 10, 0.6
 #: Share of a position's range that is no step of it but what was lost in calculating it (another unit, another grid).
 _ROUNDED: Final = 1e-9
-#: Encoder steps that a position moves by at least while a row stands still.
+#: Encoder steps that a position moves by at least while a row repeats.
 _QUANTA: Final = 3.0
 #: Rows at one extreme value in a row, from which a torque is taken for cut off, and how many times as many are at it as
 #: in the next share of its range.
@@ -382,7 +382,7 @@ def _unsaturated(table: _Table, limits_Nm: Mapping[str, float]) -> _Table:
         count = int(np.count_nonzero(cut))
         if count and float(np.ptp(values)) > 0.0:
             largest = float(np.max(np.abs(values[cut])))
-            text = f"channel {name} stands at {largest:g} N·m, the end of its range, in {count} row(s): left out"
+            text = f"channel {name} is at {largest:g} N·m, the end of its range, in {count} row(s): left out"
             table = table.with_channel(name, values, Repair("saturated", name, count, text), left_out=cut)
     return table
 
@@ -393,7 +393,7 @@ def _longest_run(rows: Rows) -> int:
 
 
 def _even(table: _Table) -> _Table:
-    """At even times: rows that are missing are filled in and left out, uneven ones put onto a grid."""
+    """Table at even times: rows that are missing are filled in and left out, uneven ones put onto a grid."""
     t = table.t_s
     if len(t) < LEAST_SAMPLES + 1:
         return table
@@ -420,7 +420,7 @@ def _even(table: _Table) -> _Table:
 
 
 def _numbered(t_s: Array, period_s: float) -> tuple[Array, float, float]:
-    """Which row of an even recording each is, were it one; its period, s, and the time of row 0."""
+    """Number of each row in an even recording, were it one; its period, s, and the time of row 0."""
     number = np.concatenate([[0.0], np.cumsum(np.maximum(np.round(np.diff(t_s) / period_s), 1.0))])
     slope, first = np.polyfit(number, t_s, 1)
     if np.max(np.abs(t_s - first - slope * number)) > _UNEVEN * period_s:

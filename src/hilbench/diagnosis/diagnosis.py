@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.alternatives import FreeRules
-from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, untold_beside
+from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, unidentifiable_beside
 from hilbench.diagnosis.data_cleaning import Repair
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_interval_s
 from hilbench.diagnosis.fit_with_residual_noise import stated_uncertainty, weights
@@ -32,7 +32,7 @@ from hilbench.diagnosis.residual_analysis import (
     located,
     misfits,
 )
-from hilbench.diagnosis.resonance import first_unseen, untold, with_torsional_mode
+from hilbench.diagnosis.resonance import first_unseen, unidentifiable_modes, with_torsional_mode
 from hilbench.diagnosis.search import Announce, search
 from hilbench.diagnosis.select_measured import MeasuredRules
 from hilbench.diagnosis.selection import Selection
@@ -73,7 +73,7 @@ class Value:
 
     @classmethod
     def of(cls, value: float, ci95: tuple[float, float], unit: str, before: float | None = None) -> Value:
-        """With as many digits as any interval needs."""
+        """Value rounded to as many digits as any interval needs."""
         low, high = ci95
         was = None if before is None else rounded(before)
         return cls(rounded(value), (rounded(low), rounded(high)), unit, was)
@@ -154,7 +154,7 @@ class Unobservable:
 
     @classmethod
     def of(cls, term: Term, smallest: float | None, experiment: str, **shape: float) -> Unobservable:
-        """What a term stands for; smallest: strength that could be seen, infinite or None where none could."""
+        """Unobservable effect of a term; smallest: strength that could be seen, infinite or None where none could."""
         unit = term.effect.parameter(term.effect.strength[0]).unit
         visible = None if smallest is None or not np.isfinite(smallest) else rounded(float(smallest))
         return cls(term.effect.id, term.axis, visible, unit, experiment, term.section, **shape)
@@ -173,7 +173,7 @@ class Unobservable:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All that was found."""
+    """Result of a diagnosis."""
 
     verdict: str
     effects: list[NamedEffect]
@@ -260,7 +260,8 @@ def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce
     if (settled := with_torsional_mode(space, selection.fit.terms)) is not None:
         chosen, space = replace(chosen, predictor=settled), Space(model, settled, data.period_s)
         selection = search(MeasuredRules(space, proposer, as_simple), announce)
-    if few := untold(space, selection.fit):  # found given the others it is as little identified: once more without
+    # Found given the others a mode is as little identified: once more without.
+    if few := unidentifiable_modes(space, selection.fit):
         proposer = proposer_for(predictor, model, data, {term.effect.id for term in few})
         selection = replace(search(MeasuredRules(space, proposer, as_simple), announce), of_too_few=few)
     return Explained(space, chosen, data, selection)
@@ -268,7 +269,7 @@ def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce
 
 @dataclass(frozen=True)
 class _Verdict:
-    """What the fitted terms leave: the terms with their uncertainty, and what nothing explains."""
+    """Verdict on the fitted terms: the terms with their uncertainty, and what nothing explains."""
 
     judged: _Judged
     floors: dict[int, float]  #: of the torques, by signal
@@ -336,7 +337,7 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
         where = located(*in_floors(predictor.names, final.residual, floors), predictor.rows, conditions, _ROWS_OF_WHERE)
     depends = misfits(names, scaled, predictor.rows, conditions)
     floor_of = {predictor.names[k]: value for k, value in floors.items()}
-    told = [*selection.of_too_few, *selection.untold]
+    unidentifiable = [*selection.of_too_few, *selection.unidentifiable]
     return Diagnosis(
         verdict="unknown" if of.unknown else ("named" if final.terms else "complete"),
         effects=effects,
@@ -348,10 +349,10 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
             *unobservable(selection),
             *_waves_too_fast(space, proposer, selection),
             *_unseen_resonances(space, proposer, selection),
-            *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in told),
+            *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in unidentifiable),
             *(
                 Unobservable(effect.id, 1, None, effect.parameter(effect.strength[0]).unit, OTHER_HELD)
-                for effect in untold_beside(predictor, space.model)  # while the other axis is coupled
+                for effect in unidentifiable_beside(predictor, space.model)  # while the other axis is coupled
             ),
         ],
         missing_channels=data.missing,
@@ -436,7 +437,7 @@ class _Judged:
 
 
 def _judged_by_noise(space: Space, selection: Selection) -> _Judged:
-    """By the noise that a right model leaves, which is white."""
+    """Uncertainty by the noise that a right model leaves, which is white."""
     trained, white = selection.fit, selection.candidates.whitening
     samples = np.count_nonzero(space.split.train | space.split.test) * len(space.predictor.names)
     while True:
@@ -472,7 +473,7 @@ def _perhaps_neutral(found: Fit, quantile: float) -> int | None:
 
 
 def _judged_by_rest(space: Space, selection: Selection) -> _Judged:
-    """By the spectrum of what is left, where that is model error more than noise."""
+    """Uncertainty by the spectrum of the residual, where that is model error more than noise."""
     final = selection.fit
     trained = fit(space, weights(space, final.terms), final.terms)
     known = stated_uncertainty(space, final)
@@ -548,12 +549,12 @@ def _joined(terms: list[Term], named: list[NamedEffect]) -> list[NamedEffect]:
 def _experiment(model: Machine, effect: Effect, other: str) -> str:
     """Experiment that distinguishes an effect from another, by its id, or from its lookalike."""
     if effect.lookalike is not None and other == effect.lookalike.name:
-        return effect.lookalike.told_apart_by
+        return effect.lookalike.distinguished_by
     return effect.distinguished_from(machines.effect_of(model, other))
 
 
 def rounded(value: float) -> float:
-    """To as many digits as any interval needs."""
+    """Round to as many digits as any interval needs."""
     return float(f"{value:.{_DIGITS}g}")
 
 
@@ -573,7 +574,7 @@ def unobservable(selection: Selection, least_Nm: Callable[[Array], float] | None
     """Effects of which a change of the usual size would drown in the noise of these data, or make a torque (n,) of less
     than an rms that depends on it."""
     offered, result = selection.candidates, []
-    seen = {term.place for term in selection.untold}
+    seen = {term.place for term in selection.unidentifiable}
     for candidate, response in zip(offered.candidates, offered.responses, strict=True):
         if candidate.multiplicity > 1.0 or candidate.place in seen:
             continue

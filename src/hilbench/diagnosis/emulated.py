@@ -34,7 +34,7 @@ def _resolution(config: BenchConfig, axis: int) -> float:
 
 
 def emulation_beside(recording: Path) -> AnyEmulation | None:
-    """By the config in the run folder that a recording lies in; None if it lies in no run folder.
+    """Emulation by the config in the run folder that a recording lies in; None if it lies in no run folder.
 
     Raises UnusableInputError for a config that can't be read.
     """

@@ -106,7 +106,8 @@ def _descended(
         step, promised = problem.step(damping)
         if promised < enough or (taken >= _LEAST_STEPS and problem.square - promised > worth):
             break
-        moved = _moved(point.terms, step)
+        pairs = zip(point.terms, parts(point.terms), strict=True)
+        moved = [term.at(term.coordinates() + step[part]) for term, part in pairs]
         trial = space.residual(moved)
         if _Problem.square_of(white, trial, rows) < problem.square:
             damping = max(0.2 * damping, 1e-9)
@@ -326,7 +327,3 @@ class _Problem:
 def _flat(columns: Array) -> Array:
     """(count, signals, rows) as (count, signals·rows)."""
     return columns.reshape(len(columns), int(np.prod(columns.shape[1:])))
-
-
-def _moved(terms: list[Term], step: Array) -> list[Term]:
-    return [term.at(term.coordinates() + step[part]) for term, part in zip(terms, parts(terms), strict=True)]

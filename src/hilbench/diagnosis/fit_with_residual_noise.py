@@ -46,20 +46,20 @@ def uncertainty_of(space: Space, found: Fit, rows: NDArray[np.bool_] | None = No
     rows = space.predictor.rows if rows is None else rows
     derivatives = space.point(found.terms, found.residual).derivatives[..., rows]
     known = uncertainty(derivatives, found.residual[..., rows])
-    doubted = np.concatenate([np.zeros(0, bool), *(np.full(len(t.coordinates()), t.swings) for t in found.terms)])
+    doubted = np.concatenate([np.zeros(0, bool), *(np.full(len(t.coordinates()), t.is_torsional) for t in found.terms)])
     if not np.any(doubted):
         return known
     return with_doubts(known, derivatives, found.residual[..., rows], space.doubts(found.terms)[..., rows], doubted)
 
 
 def stated_uncertainty(space: Space, found: Fit) -> Uncertainty:
-    """The same with an inertia of the model that is a guess, where no term says how far it is off, and with what noise
-    in the accelerations of coupled axes moves: it hardly shows in them, and what goes with them nearly makes up for one
-    another. On one steady sine by what repeats itself alone."""
+    """Uncertainty of a fit, also by an inertia of the model that is a guess, where no term says how far it is off, and
+    by noise in the accelerations of coupled axes: it hardly shows in them, and their columns are nearly collinear. On
+    one steady sine by what repeats itself alone."""
     known, predictor = uncertainty_of(space, found), space.predictor
     if not isinstance(predictor, OnMeasuredMotion) or not found.terms:
         return known
-    if predictor.sine_Hz is not None and not any(term.swings for term in found.terms):
+    if predictor.sine_Hz is not None and not any(term.is_torsional for term in found.terms):
         return _on_one_sine(space, found, predictor, predictor.repeating(predictor.sine_Hz))
     rows = predictor.rows
     if predictor.arm is None and not any(map(_identifies_inertia, found.terms)):

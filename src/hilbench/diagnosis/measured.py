@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 #: Sampling periods that can be worked with, s.
 SHORTEST_PERIOD_S: Final = 0.0005
 LONGEST_PERIOD_S: Final = 0.02
-#: Least length: below, not even a drift of the noise can be told from an effect.
+#: Least length: below, not even a drift of the noise can be distinguished from an effect.
 SHORTEST_S: Final = 5.0
 #: Share of the period by which two samples may be further apart than others.
 _UNEVEN: Final = 0.01
@@ -38,10 +38,11 @@ _UNEVEN: Final = 0.01
 #: name says.
 _FASTEST: Final = {"m": 100.0, "rad": 1e4}
 _LARGEST_STRAIN: Final = 0.1
-#: Speed (m/s, rad/s) below which an axis stands, where dry friction is not one law; mean speed from which it has moved.
+#: Speed (m/s, rad/s) below which an axis is at rest, where dry friction is not one law; mean speed from which it has
+#: moved.
 STANDSTILL_M_S: Final = 5.0 * FRICTION_WIDTH_M_S
 _NOTHING_MOVES_M_S: Final = 1e-3
-#: Range of a position over its noise from which it is motion, and the steps in which its way is added up, s.
+#: Range of a position over its noise from which it is motion, and the steps in which its travel is added up, s.
 _OVER_NOISE, _STEP_S = 30.0, 0.1
 #: Time without commands after which a free run has forgotten nothing it should and knows nothing it must, s.
 _LONGEST_GAP_S: Final = 0.5
@@ -62,7 +63,7 @@ _UNITS: Final = (
     (1e-6, "x", "µm", 1e-6),
 )
 _TURN: Final = 2.0 * np.pi
-#: Time over which the ways of the web at two rollers are compared, s.
+#: Time over which the travels of the web at two rollers are compared, s.
 _SAME_TRAVEL_S: Final = 0.5
 #: Share by which such a ratio may be missed.
 _RATIO: Final = 0.03
@@ -100,17 +101,17 @@ class Measured:
     x_m: dict[int, Array]
     v_m_s: dict[int, Array]
     missing: list[str] = field(default_factory=list)
-    emulated: bool = False  #: a load motor stood for the web
+    emulated: bool = False  #: a load motor emulated the web
     left_out: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  #: (n,), or none: see `usable`
     repairs: list[Repair] = field(default_factory=list)  #: what was wrong with the rows, and is mended
     F_N: dict[int, Array] = field(default_factory=dict)  #: measured tensions, by span
     integrated: bool = False  #: the position is that of a lone axis' speed, added up
     #: Of carriages and reels with a sensor what it said, by the station's name.
     sensors_m: dict[str, StationSensor] = field(default_factory=dict)
-    forces_N: dict[str, Array] = field(default_factory=dict)  #: what carriages were told that are, by station (n,)
+    forces_N: dict[str, Array] = field(default_factory=dict)  #: commands to carriages, by station (n,)
     #: What was before the first row; None: nobody knows.
     before: Before | None = None
-    #: Way by which commands that drives may have taken too late have put off the motion of all axes, at most.
+    #: Displacement of all axes by commands that drives may have taken too late, at most.
     put_off_m: float = 0.0
     #: Rows at which something beyond machine and commands has pushed the axes.
     pushed: tuple[int, ...] = ()
@@ -217,7 +218,7 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         other_rad=np.asarray(recording[other], np.float64) if other else None,
     )
     if machines.has_stations(model) and abs(float(measured.commands_m_s[0, -1])) > STANDSTILL_M_S:
-        raise UnusableInputError(place, "a line with 'stations' under way at the first row, expected it at rest there")
+        raise UnusableInputError(place, "a line with 'stations' in motion at the first row, expected it at rest there")
     _check_plausible(measured, model, place)
     return measured
 
@@ -324,7 +325,7 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
 
 
 def _travel(x: Array, period_s: float) -> float:
-    """How far an axis has gone, to and fro; its range where that may be noise."""
+    """Travel of an axis, to and fro; its range where that may be noise."""
     reach = float(np.ptp(x))
     if reach < _OVER_NOISE * floor(x):
         return reach
@@ -378,7 +379,7 @@ def _of_the_machine(model: Machine, axis: int) -> Iterator[tuple[float, str, str
 
 
 def _check_directions(measured: Measured, place: str | Path) -> None:
-    """A web goes at all rollers the same way, but for what it is stretched by."""
+    """Check that the web travels as far at all rollers, but for its strain."""
     travel = measured.x_m if len(measured.x_m) > 1 else {}
     rows = max(1, round(_SAME_TRAVEL_S / measured.period_s))
     steps = {axis: np.diff(x[::rows]) for axis, x in sorted(travel.items())}

@@ -25,7 +25,7 @@ from hilbench.plant.model_file import Machine
 
 Array = NDArray[np.float64]
 
-#: Speed below which an axis stands at least, as a share of its usual highest speed.
+#: Speed below which an axis is at rest at least, as a share of its usual highest speed.
 _STANDSTILL_SHARE: Final = 0.02
 #: Share of the measured acceleration's variance that may be the encoder's noise. By as much an inertia is found too
 #: small: noise in a regressor pulls its coefficient to zero.
@@ -43,8 +43,8 @@ _REACH, _PASSES, _TURNS_OVER = 1.5, 0.5, 4.0
 #: Band of the motion from which a torque is predicted, in corners of the filter that the torque passes: up to the first
 #: nothing is lost, for what passes two filters is not what passes one; beyond the second nothing is left.
 _WIDER: Final = (1.5, 2.5)
-#: Ways over which friction may turn as well on one steady sine, as shares of the one that is known; and as shares of
-#: the least one that is looked for, where none was found.
+#: Displacements over which friction may turn as well on one steady sine, as shares of the one that is known; and as
+#: shares of the least one that is looked for, where none was found.
 _OTHER_LENGTHS, _UNSEEN_LENGTHS = (0.25, 0.5, 2.0, 4.0), (0.1, 0.25, 0.5, 1.0)
 #: Share of the inertia to which a right model may have it, one standard deviation.
 _INERTIA_KNOWN: Final = 0.02
@@ -214,10 +214,10 @@ class OnMeasuredMotion:
         return OnMeasuredMotion(self._model, self._data, self, self.arm)
 
     def with_torsional_mode(self, torsional: Array, memory_s: float) -> OnMeasuredMotion:
-        """The same, with rows that count once the swing of before the recording is forgotten, and the way over which
-        friction turns over looked for again beside what swings.
+        """Copy whose rows count once the oscillation of before the recording is forgotten, and whose displacement over
+        which friction turns over is looked for again beside the torsional mode.
 
-        swinging (1 + J, P): parameters without it, and each with some of it, of which any multiple may be there.
+        torsional (1 + J, P): parameters without it, and each with some of it, of which any multiple may be there.
         """
         result = copy(self)
         result._memory_s = memory_s
@@ -341,7 +341,7 @@ class OnMeasuredMotion:
             Condition("speed of axis 1", f"{unit}/s", self._v[step]),
             Condition("acceleration of axis 1", f"{unit}/s²", self._a[step]),
             Condition("position of axis 1", unit, self._x[step], spectral=True),
-            Condition("way since the last reversal of axis 1", unit, self._since_reversal()[step]),
+            Condition("travel since the last reversal of axis 1", unit, self._since_reversal()[step]),
         ]
 
     def _since_reversal(self) -> Array:
@@ -386,7 +386,7 @@ class OnMeasuredMotion:
 
     def alike_on_one_sine(self, parameters: Array) -> Array:
         """(shapes, 1, n): what on one steady sine a torque may be in the place of a law beside friction and inertia:
-        what goes with the position, and friction that turns over another way, with these parameters (P,)."""
+        what goes with the position, and friction that turns over another displacement, with these parameters (P,)."""
         known, shortest = self.presliding, unseen(float(np.ptp(self._x))).presliding_travel
         lengths = (
             [share * known.presliding_travel for share in _OTHER_LENGTHS]
@@ -432,7 +432,7 @@ class OnMeasuredMotion:
         return self._beside(self._turning_over(presliding_travel, parameters)[None, None, :: self.every])
 
     def _turning_over(self, presliding_travel: float, parameters: Array) -> Array:
-        """(n,): by how much the torque with these parameters (P,) is another where friction turns over this way."""
+        """(n,): change of the torque with these parameters (P,) where friction turns over this displacement."""
         other = copy(self)
         other.presliding = Presliding(presliding_travel, (presliding_travel, presliding_travel))
         return np.asarray(other._required(parameters)[0] - self._required(parameters)[0])
@@ -472,7 +472,7 @@ def coupled_motion(model: Machine, data: Measured) -> OnMeasuredMotion | None:
     """The prediction beside the other axis that the recording has; None without one, or where its motion does not
     explain much.
 
-    Gravity, inertia and what an axis swings nearly make up for one another in an arm that swings freely, so that noise
+    Gravity and inertia nearly make up for one another in an arm that oscillates freely, so that noise
     that hardly shows in an acceleration shows in them: the corner is that with which the stretches of the recording
     predict one another best; what carries what is the same with every corner.
     """

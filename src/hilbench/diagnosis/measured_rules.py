@@ -1,12 +1,12 @@
-"""Which terms a search on measured motion offers first, cannot tell by the motion, or finds in one size only here.
+"""Rules of a search on measured motion: terms offered first, not distinguishable by the motion, of one size only here.
 
 An effect has one size. A substitute for something else has another wherever that is another: in other frequency bands,
 and in other stretches of a recording.
 
 One steady sine of a lone axis passes each place with one speed and one acceleration. There what grows with the size of
 the speed goes with the position, as a ripple of an order that a short arc does not tell does; and what is late, or goes
-with the load, is friction that turns over a way, or grows with the speed. Of the laws that are no simpler than these
-nothing is offered of which they leave little.
+with the load, is friction that turns over a displacement, or grows with the speed. Of the laws that are no simpler than
+these nothing is offered of which they leave little.
 """
 
 from __future__ import annotations
@@ -109,9 +109,9 @@ _SAME_SIZE: Final = 0.03
 
 def in_every_band(space: Space, current: Fit) -> Fit:
     """The fit without the terms of which a narrower band finds another size, one by one, what explains least first:
-    beside one that stands for something else the others have another size as well.
+    beside a substitute for something else the others have another size as well.
 
-    An effect has one size; what stands for something else (a delay for a loop's answer to a ripple) changes with
+    An effect has one size; a substitute for something else (a delay for a loop's answer to a ripple) changes with
     the frequencies that are looked at. A wave shows in a narrower band at lower speeds only, a resonance below its
     frequency hardly: neither is judged.
     """
@@ -135,7 +135,7 @@ def in_every_band(space: Space, current: Fit) -> Fit:
 def in_both_halves(space: Space, current: Fit) -> Fit:
     """The fit without the delays that every other stretch finds in another size than those between.
 
-    A cable is as long in every stretch; what a delay stands for (an arm that swings along) is another from motion
+    A cable is as long in every stretch; what a delay substitutes (an arm that oscillates along) is another from motion
     to motion. Of what the model is linear in each stretch was predicted from the others before.
     """
     rows = space.predictor.rows
@@ -158,8 +158,8 @@ def in_both_halves(space: Space, current: Fit) -> Fit:
 
 
 def _apart(one: Fit, other: Fit, sure: Uncertainty, other_sure: Uncertainty) -> list[float]:
-    """By how many standard deviations two fits of the same terms differ in the strength of each, beyond a share of it
-    that makes no other effect of it; 0 of a wave, or what swings at a frequency of its own."""
+    """Difference of two fits of the same terms in the strength of each, in standard deviations, beyond a share of it
+    that makes no other effect of it; 0 of a wave, or what oscillates at a frequency of its own."""
     deviations = np.maximum(np.hypot(sure.deviations, other_sure.deviations), 1e-300)
     found = []
     for a, b, part in zip(one.terms, other.terms, parts(one.terms), strict=True):
@@ -171,14 +171,14 @@ def _apart(one: Fit, other: Fit, sure: Uncertainty, other_sure: Uncertainty) -> 
     return found
 
 
-#: Share of a response that what such a motion can't tell from it has to leave of it.
+#: Share of a response that what such a motion can't distinguish from it has to leave of it.
 _OWN_SHARE: Final = 0.25
 
 
 def is_in_known_band(space: Space, term: Term) -> bool:
-    """False of a term that swings at a frequency at which the measured motion is noise more than motion."""
+    """False of a term that oscillates at a frequency at which the measured motion is noise more than motion."""
     predictor = space.predictor
-    if not term.swings or not isinstance(predictor, OnMeasuredMotion):
+    if not term.is_torsional or not isinstance(predictor, OnMeasuredMotion):
         return True
     return term.values["frequency_Hz"] <= predictor.known_to_Hz
 
@@ -190,7 +190,7 @@ def is_on_one_sine(space: Space) -> bool:
 
 def identifiable_on_one_sine(space: Space, terms: list[Term], offered: CandidateSet) -> list[bool]:
     """True for each candidate that the motion identifies; all of any but one steady sine. A resonance is judged by
-    the lines of its spectrum, once it is found (`hilbench.diagnosis.resonance.untold`)."""
+    the lines of its spectrum, once it is found (`hilbench.diagnosis.resonance.unidentifiable_modes`)."""
     predictor = space.predictor
     if not isinstance(predictor, OnMeasuredMotion) or predictor.sine_Hz is None:
         return [True] * len(offered.candidates)
@@ -200,11 +200,11 @@ def identifiable_on_one_sine(space: Space, terms: list[Term], offered: Candidate
     counted = alike[..., predictor.rows]
     known = basis(counted[np.any(counted, axis=(1, 2))].reshape(-1, counted.shape[1] * counted.shape[2]))
     return [
-        term.swings or _is_law_of_motion(term) or own_share(response[..., predictor.rows], known) >= _OWN_SHARE
+        term.is_torsional or _is_law_of_motion(term) or own_share(response[..., predictor.rows], known) >= _OWN_SHARE
         for term, response in zip(offered.candidates, offered.responses, strict=True)
     ]
 
 
 def _is_law_of_motion(term: Term) -> bool:
     """Friction, offset and inertia: without them no other law is read aright."""
-    return not term.effect.removable or (term.effect.domain is Domain.INERTIA and not term.swings)
+    return not term.effect.removable or (term.effect.domain is Domain.INERTIA and not term.is_torsional)

@@ -36,7 +36,7 @@ Step = dict[str, dict[str, Any]]
 
 #: Longest experiment that is proposed, s.
 LONGEST_S: Final = 30.0
-#: Fall of the sum of squares from which two explanations are told apart, and of an effect from which it is visible.
+#: Fall of the sum of squares from which two explanations are distinguished, and of an effect from which it is visible.
 _APART, _VISIBLE = 50.0, 25.0
 #: How often over that a move need not be better, and weight of what is tied over what was not shown.
 _ENOUGH, _TIE = 100.0, 20.0
@@ -49,8 +49,8 @@ _SPEED: Final = {"rad": "speed_rad_s", "m": "line_speed_m_s"}
 _TENSION: Final = "tension_control.set_point_N"
 #: Period with which moves are simulated, s; how long a drive takes to follow a corner of its command, s.
 _PERIOD_S, _FOLLOWS_S = 0.002, 0.01
-#: Share of the top speed below which a lone axis stands, where dry friction is not one law but many; what is left on
-#: its measured motion is not white: so far apart are samples that count as one each, s.
+#: Share of the top speed below which a lone axis is at rest, where dry friction is not one law but many; what is left
+#: on its measured motion is not white: so far apart are samples that count as one each, s.
 _STANDSTILL, _APART_S = 0.01, 0.05
 #: Levels of a speed that a move goes through: share of the top speed, least time to it, time at it, s.
 _Levels = Sequence[tuple[float, float, float]]
@@ -84,7 +84,7 @@ class Reach:
 
     @classmethod
     def of_axis(cls, data: Measured) -> Reach:
-        """By how a lone axis moved."""
+        """Reach by the motion of a lone axis."""
         apart = max(1, round(STEEP_S / data.period_s))
         x = data.x_m[1]
         speed = (x[apart:] - x[:-apart]) / (apart * data.period_s)
@@ -92,7 +92,7 @@ class Reach:
 
     @classmethod
     def of_line(cls, recording: Recording, axes: int = 2) -> Reach:
-        """By the commands of a web machine of some axes; of one span the tension is set as well."""
+        """Reach by the commands of a web machine of some axes; of one span the tension is set as well."""
         speed = np.asarray(recording[f"v{axes}_cmd_m_s"], np.float64)
         apart = max(1, round(STEEP_S / float(np.median(np.diff(recording.time_s)))))
         wanted = float(np.median(np.asarray(recording["F_ref_N"], np.float64))) if "F_ref_N" in recording else 0.0
@@ -110,7 +110,7 @@ class NextExperiment:
 
     steps: list[Step]
     moves: str  #: what they are, for a person
-    reasons: list[str]  #: one line for each thing that they would tell
+    reasons: list[str]  #: one line for each thing that they would show
     duration_s: float
 
 
@@ -127,12 +127,12 @@ class Question:
 
     @property
     def models(self) -> list[Machine]:
-        """All of them, in this order."""
+        """All models, in this order."""
         return [self.with_it, self.without, *self.instead]
 
     def answered_by(self, predicted: Array) -> float:
-        """By predictions (models, n), in units of the noise: how far they lie apart, squared, with the other effect
-        fitted."""
+        """Information of an experiment by its predictions (models, n), in units of the noise: their distance, squared,
+        with the other effect fitted."""
         with_it, without, *instead = predicted
         response = with_it - without
         if instead:
@@ -176,7 +176,7 @@ def moves(reach: Reach, lone_unit: str | None = None) -> dict[str, list[Step]]:
 
 
 def proposed(found: Diagnosis, recording: Recording, place: str | Path) -> NextExperiment | None:
-    """What would tell more than the recording; of a web that moved by other commands nothing is known to propose."""
+    """Experiment that would show more than the recording; None of a web that moved by other commands."""
     axes = found.model.axis_count
     if machines.is_lone(found.model):
         return propose(found, Reach.of_axis(measured_from(recording, found.model, place)))
@@ -187,10 +187,10 @@ def proposed(found: Diagnosis, recording: Recording, place: str | Path) -> NextE
 
 
 def propose(found: Diagnosis, reach: Reach) -> NextExperiment | None:
-    """The move, or two, that would tell most of what `found` leaves open; None where no move would tell of it.
+    """The move, or two, that would show most of what `found` leaves open; None where no move would show it.
 
-    Each is predicted with the model that was found, with and without what is asked; how far the predictions lie apart,
-    in units of the noise and with the other explanation fitted, is what it would tell.
+    Each is predicted with the model that was found, with and without the effect in question; how far the predictions
+    lie apart, in units of the noise and with the other explanation fitted, is what it would show.
     """
     model, kind = found.model, machines.of_kind(found.model)
     lone = machines.is_lone(model)
@@ -207,7 +207,7 @@ def propose(found: Diagnosis, reach: Reach) -> NextExperiment | None:
 
 
 def _axis_torque(steps: list[Step], found: Diagnosis, reach: Reach) -> Callable[[list[Machine]], Array]:
-    """What models (B,) make of the torque of an axis that follows the steps (B, n), in units of the noise."""
+    """Prediction by models (B,) of the torque of an axis that follows the steps (B, n), in units of the noise."""
     exact, kind = found.emulation is not None, machines.of_kind(found.model)
     noise_Nm = found.gap.noise_floor if exact else max(found.gap.noise_floor, found.gap.after)
     t, times, speeds, _ = profile(steps)
@@ -260,7 +260,7 @@ def best(
     of_move = {name: answers([hold(START_S), *steps]) for name, steps in library.items()}
     chosen, score = None, 0.0
     for names in options:
-        # What moves tell adds up; longer ones have to tell more.
+        # The information of moves adds up; longer ones have to bring more.
         gains = np.sum([of_move[name] for name in names], axis=0)
         value = sum(q.weight * np.log1p(min(g / q.least, _ENOUGH)) for q, g in zip(questions, gains, strict=True))
         value *= 1.0 - 0.01 * _takes(library, names)

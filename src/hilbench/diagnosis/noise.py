@@ -60,7 +60,7 @@ class Whitening:
 
 
 def scaling(deviations: Array) -> Whitening:
-    """For noise that is white already, with these standard deviations (signals,)."""
+    """Whitening of noise that is white already, with these standard deviations (signals,)."""
     return Whitening(1.0 / np.asarray(deviations)[:, None])
 
 

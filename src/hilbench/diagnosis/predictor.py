@@ -83,7 +83,7 @@ def choice(model: Machine, data: Measured, emulation: AnyEmulation | None = None
 
     A recording with neither both positions nor both torques is run freely, with the loops that it shows. Where it has
     a load motor the web was emulated: as `emulation` says, or as benches do it by default, by one load motor at the
-    last roller. What happened in its cycles can't be told from rows between them.
+    last roller. Events within its cycles can't be seen in rows between them.
     """
     found: Choice = machine_part(model.kind, "diagnosis").choice(model, data, emulation)
     return found

@@ -21,19 +21,19 @@ from hilbench.plant.hysteresis import LEAST_PRESLIDING, friction_directions
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
-#: Ways that are tried, as shares of the one that the axis covers, and plays beside each, in that way.
+#: Sliding lengths that are tried, as shares of the travel of the axis, and plays beside each, in that length.
 _SHARES: Final = np.geomspace(3e-4, 0.1, 26)
 _PLAYS: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
-#: Share of what is left without it that a way has to explain, and half of it in every stretch of the recording; an
-#: axis that reverses less often shows none.
+#: Share of what is left without it that a sliding length has to explain, and half of it in every stretch of the
+#: recording; an axis that reverses less often shows none.
 _LEAST_SHARE, _STRETCHES, _LEAST_REVERSALS = 0.1, 2, 4
-#: Share of what is left by which a way may explain less than a play and be taken for what is there.
+#: Share of what is left by which a sliding length may explain less than a play and be taken for what is there.
 _AS_WELL: Final = 0.03
 #: Share of the torque that may be left: what acts on an axis from elsewhere turns round with it as well.
 _MOST_LEFT: Final = 0.5
-#: Ratio of a way to the next in the search for the ends of its interval, and most of them.
+#: Ratio of a sliding length to the next in the search for the ends of its interval, and most of them.
 _STEP, _STEPS = 1.03, 30
-#: Rise of the sum of squares, in variances, up to which a way may be the right one: 95 % of one parameter.
+#: Rise of the sum of squares, in variances, up to which a sliding length may be the right one: 95 % of one parameter.
 _RISE: Final = 3.84
 
 
@@ -46,7 +46,7 @@ class Presliding:
 
 
 def unseen(stroke: float) -> Presliding:
-    """The least way that is looked for on an axis that covers so much: one that is found in none may be there."""
+    """Least sliding length that is looked for on an axis with such a travel: one that is found in none may be there."""
     presliding_travel = float(_SHARES[0]) * stroke
     return Presliding(presliding_travel, (0.0, presliding_travel))
 
@@ -72,9 +72,9 @@ def presliding(
     if np.count_nonzero(np.diff(np.sign(v[rows]))) < _LEAST_REVERSALS:
         return None
     looked_at = np.flatnonzero(rows)[::every]
-    plain = np.array([a, v, np.abs(v), np.ones(len(x)), x - np.mean(x), *([] if others is None else others)])
-    plain = plain[:, looked_at]
-    fixed, _ = np.linalg.qr((plain / np.maximum(np.linalg.norm(plain, axis=1), 1e-300)[:, None]).T)
+    columns = np.array([a, v, np.abs(v), np.ones(len(x)), x - np.mean(x), *([] if others is None else others)])
+    columns = columns[:, looked_at]
+    fixed, _ = np.linalg.qr((columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-300)[:, None]).T)
     beside = torque[looked_at] - fixed @ (fixed.T @ torque[looked_at])
 
     def left(direction: Array) -> Array:
@@ -129,7 +129,7 @@ def presliding(
 
 
 def _furthest(presliding_travel: float, factor: float, fits: Callable[[float], bool]) -> float:
-    """The first way, ever further from the best one, that does not fit any more."""
+    """First sliding length, ever further from the best one, that does not fit any more."""
     for _ in range(_STEPS):
         presliding_travel *= factor
         if not fits(presliding_travel):

@@ -1,4 +1,4 @@
-"""Which effects could be missing: the vocabulary's terms, and for those with an order, frequency or time, which."""
+"""Candidates for missing effects: the vocabulary's terms, and of those with an order, frequency or time, which."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _HIGHEST_ORDER: Final = 64.0
 _LEAST_SHARE_OF_A_TURN: Final = 0.5  #: of the roller's
 #: The slowest share of a motion, and the share of its largest step from row to row from which an axis moves.
 _SLOWEST, _MOVES = 0.1, 0.02
-#: Angle that a roller (an arm) has to turn for a torque by its angle to be told from a spring or an offset: over less
+#: Angle that a roller (an arm) has to turn to distinguish a torque by its angle from a spring or an offset: over less
 #: a sine is straight within some per cent.
 _LEAST_ARC_RAD: Final = 1.0
 #: Turns of the motor from which an order is looked for (over less a ripple is any law of the position), and from which
-#: whole orders can be told apart.
+#: whole orders can be distinguished.
 _LEAST_TURNS, _RESOLVED = 1.0, 4.0
-#: Times of a step that are simulated at first, and among how many that can be told apart it was chosen.
+#: Times of a step that are simulated at first, and the number of distinguishable ones among which it was chosen.
 _COARSE: Final = 24
 _TIMES: Final = 100.0
 #: A step's time is looked for this far from the ends, as a share of the recording.
@@ -98,8 +98,8 @@ class Proposer:
         }
 
     def once_a_turn(self, term: Term) -> list[Term]:
-        """In the place of a term that goes round with the motor, the effects with an order once a turn: nothing of them
-        is searched for then; none for another term."""
+        """Effects with an order once a turn in place of a term that goes round with the motor: nothing of them is
+        searched for then; none for another term."""
         if not term.has_phase or term.effect.domain is not Domain.POSITION_MEASUREMENT:
             return []
         waves = [wave for (wave,) in self.waves([1.0]).values()]
@@ -155,7 +155,7 @@ class Proposer:
             return 1.0
         return float(np.ptp(self._data.x_m[axis])) * self._model.motor_rad_per_unit(axis) / _TURN
 
-    def plain(self) -> list[Term]:
+    def direct(self) -> list[Term]:
         """Every effect that needs no search, at every place it can be."""
         terms = []
         for effect in self._vocabulary:
@@ -179,8 +179,8 @@ class Proposer:
         if probe.over is ProbeOver.FREQUENCIES:
             shown = [f for f in probe.tried if f * self._data.duration_s > _LEAST_CYCLES and f < self._highest_Hz()]
             return [self._term(effect, axis, {probe.parameter: f}, multiplicity=count, section=section) for f in shown]
-        plain = self._term(effect, axis, {}, section=section)
-        return [replace(plain, probe=times * plain.size, multiplicity=count) for times in probe.tried]
+        term = self._term(effect, axis, {}, section=section)
+        return [replace(term, probe=times * term.size, multiplicity=count) for times in probe.tried]
 
     def _possible(self, effect: Effect, axis: int | None) -> bool:
         # In less than a turn an encoder's error once a turn is one of its scale, or a torque that goes with the angle.
@@ -234,7 +234,7 @@ class Proposer:
 
         residual (signals, n) and response (2, signals, n) whitened, zero where rows do not count. How strongly and how
         late a machine answers changes with its speed, which moves a spectrum's peak; the response knows of it, and
-        turned along the angle (or time) it stands for the orders nearby.
+        turned along the angle (or time) it represents the orders nearby.
         """
         name, angle = self.searched_angle_rad(term, every)
         if name is None:
@@ -271,7 +271,7 @@ class Proposer:
 
     def at_whole_orders(self, term: Term) -> list[Term]:
         """A term with an order at the nearest whole number of times a turn, of the motor and of what it drives, and
-        held there; none where the recording does not tell such orders apart."""
+        held there; none where the recording does not distinguish such orders."""
         probe = term.effect.probe
         if probe is None or probe.over is not ProbeOver.MOTOR_ANGLE or term.axis is None:
             return []
@@ -311,7 +311,7 @@ class Proposer:
     def passage_times_s(
         self, whitened: dict[str, Array], rows: NDArray[np.bool_], every: int = 1
     ) -> tuple[Array, float]:
-        """Times at which something may have come, and how far they are apart, s; none where no while stands out.
+        """Times at which something may have come, and how far they are apart, s; none where none is beyond the noise.
 
         whitened: residuals (n,) by signal; rows (n,): those that count; every: rows of the recording per row.
         A while is as long as the web needs through the first span; what passes in it has come in the one before, or as

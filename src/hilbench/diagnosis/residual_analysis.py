@@ -1,4 +1,4 @@
-"""What residuals still depend on: binned over states, as peaks over frequency and angle, as bursts in time.
+"""Dependences of residuals: binned over states, as peaks over frequency and angle, as bursts in time.
 
 Residuals are scaled by the noise floor, so that under noise alone each statistic is chi-square; `excess` is what it has
 beyond its degrees of freedom. A misfit is significant when the excess is beyond what the many looks bring by chance.
@@ -84,7 +84,7 @@ class Misfit:
 def misfits(
     names: tuple[str, ...], scaled: Array, rows: NDArray[np.bool_], conditions: list[Condition]
 ) -> list[Misfit]:
-    """All dependences of residuals (signals, n) that were looked at, largest excess first."""
+    """Dependences of residuals (signals, n) that were looked at, largest excess first."""
     found = []
     for k, name in enumerate(names):
         for condition in conditions:
@@ -170,7 +170,7 @@ def _onset(t_s: Array, r: Array, edges: Array, mean: Array, count: Array) -> flo
 
 
 def _interval(low: float, high: float) -> str:
-    """Both ends, with as many digits as tell them apart."""
+    """Both ends, with as many digits as distinguish them."""
     for digits in range(3, 10):
         ends = f"{low:.{digits}g}", f"{high:.{digits}g}"
         if ends[0] != ends[1]:

@@ -26,7 +26,7 @@ _MOST_TAKEN: Final = 0.95
 _WIDTH: Final = 1.5
 _LEAST_FREEDOM: Final = 8.0
 #: Share of its response that others have to leave of something for a search to see how large it is.
-_TOLD: Final = 0.25
+_IDENTIFIABLE: Final = 0.25
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,11 @@ def uncertainty(
 def with_doubts(
     known: Uncertainty, columns: Array, residual: Array, shapes: Array, doubted: NDArray[np.bool_]
 ) -> Uncertainty:
-    """The same with what the prediction may be off by beside the noise, for some of the coordinates (J,).
+    """Widen an uncertainty by what the prediction may be off by beside the noise, for some of the coordinates (J,).
 
     columns, residual: as in `uncertainty`; shapes (K, signals, n): by what it may be off, each to one standard
-    deviation before anything was recorded; what the recording tells of each, and how surely, counts as well. Of a
-    motion that repeats itself, whose rest is lines, each line is a noise of its own.
+    deviation before anything was recorded; the estimate of each by the recording, and its certainty, count as well. Of
+    a motion that repeats itself, whose rest is lines, each line is a noise of its own.
     """
     count = len(columns)
     wide = np.concatenate([columns, shapes])
@@ -114,16 +114,16 @@ def with_doubts(
 
 
 def with_guess(known: Uncertainty, columns: Array, residual: Array, guess: Array) -> Uncertainty:
-    """The same beside something that was taken as known, is a guess, and would hardly be seen if it were wrong: the
-    columns nearly make up for it.
+    """Widen an uncertainty by a quantity that was taken as known, is a guess, and would hardly be seen if it were
+    wrong: the columns nearly make up for it.
 
     columns, residual: as in `uncertainty`; guess (1, signals, n): what all of it makes. The coordinates are off by what
-    they make up of it as far as it is off. The recording tells that, but for what is left: where it is a hand that
+    they make up of it as far as it is off. The recording shows that, but for what is left: where it is a hand that
     moves the axis, it goes with what the axis does, however long the recording is.
     """
     making_up = _least_squares(columns, guess.reshape(1, -1))
     own = float(np.sum((guess[0] - np.tensordot(making_up[:, 0], columns, 1)) ** 2))
-    if own >= _TOLD * float(np.sum(guess**2)):
+    if own >= _IDENTIFIABLE * float(np.sum(guess**2)):
         return known
     wide = np.concatenate([columns, guess])
     variance = float(uncertainty(wide, residual).covariance[-1, -1])
@@ -151,8 +151,8 @@ def by_waves(columns: Array, residual: Array, shapes: Array, waves: Array) -> Un
 def with_noisy_columns(
     known: Uncertainty, columns: Array, residual: Array, noisy: Array, explained: Array
 ) -> Uncertainty:
-    """The same of the last coordinates (J,) of the columns, of which the first are measured with noise: it pulls their
-    coefficients to zero, and moves those of the others.
+    """Widen an uncertainty of the last coordinates (J,) of columns, of which the first are measured with noise: it
+    pulls their coefficients to zero, and moves those of the others.
 
     columns (C + J, n), residual (n,); noisy (K, C, n): what a unit of each noise makes of the first columns; explained
     (K, n): of what they explain together. Any share of the residual may be each of the noises: none, all, and what is

@@ -1,8 +1,8 @@
 """Torsional shaft of a lone axis: what is right beside one, and from which frequency on none could be seen.
 
-How it swings when a recording begins no recording says, so rows count once that has faded. And in a steady motion
+How it oscillates when a recording begins no recording says, so rows count once that has faded. And in a steady motion
 friction that turns over late after each reversal is a torque that is late, as that of a shaft is: how friction turns
-over is looked at again beside what swings.
+over is looked at again beside what oscillates.
 
 A resonance is looked at with some frequencies; of one between them the search sees what the nearest explains, beside
 all that was found and another inertia. Smooth motion hardly twists a shaft, and where it twists it slowly the twist
@@ -31,20 +31,20 @@ from hilbench.plant.effect import Domain, ProbeOver
 
 Array = NDArray[np.float64]
 
-#: Lines of the spectrum by which a resonance has to be told at least.
+#: Lines of the spectrum by which a resonance has to be seen at least.
 _LEAST_LINES: Final = 4.0
-#: Time constants after which a swing has faded, and the share of a recording that is left out for it at most, behind
-#: its beginning and its gaps.
+#: Time constants after which an oscillation has faded, and the share of a recording that is left out for it at most,
+#: behind its beginning and its gaps.
 _FADED: Final = 4.0
 _MOST_FORGOTTEN: Final = 0.5
 
 
 def with_torsional_mode(space: Space, terms: list[Term]) -> OnMeasuredMotion | None:
-    """The prediction that is right beside those of the terms that swing; None without any, or of a free run."""
-    torsional = [term for term in terms if term.swings]
+    """Prediction beside the torsional modes among the terms; None without any, or of a free run."""
+    torsional = [term for term in terms if term.is_torsional]
     if not torsional or not isinstance(space.predictor, OnMeasuredMotion):
         return None
-    others = [term for term in terms if not term.swings]
+    others = [term for term in terms if not term.is_torsional]
     variants = [others]
     for term in torsional:
         here, steps = term.coordinates(), term.steps()
@@ -56,14 +56,14 @@ def with_torsional_mode(space: Space, terms: list[Term]) -> OnMeasuredMotion | N
     return space.predictor.with_torsional_mode(parameters, memory_s)
 
 
-def untold(space: Space, found: Fit) -> list[Term]:
-    """The terms that swing of which the motion has too few frequencies: share, frequency, damping and another inertia
+def unidentifiable_modes(space: Space, found: Fit) -> list[Term]:
+    """Torsional modes of which the motion has too few frequencies: share, frequency, damping and another inertia
     or friction may make up for each other in each of them."""
     rows, result = space.predictor.rows, []
     derivatives = space.point(found.terms, found.residual).derivatives
     for term, part in zip(found.terms, parts(found.terms), strict=True):
         # Rows are not cut out: the sine that goes on behind a gap with another phase would be another line.
-        if term.swings and _lines(np.where(rows, derivatives[part.start], 0.0)) < _LEAST_LINES:
+        if term.is_torsional and _lines(np.where(rows, derivatives[part.start], 0.0)) < _LEAST_LINES:
             result.append(term)
     return result
 
@@ -89,18 +89,21 @@ class Unseen:
 
 
 def first_unseen(space: Space, proposer: Proposer, selection: Selection, deviations: float) -> Iterator[Unseen]:
-    """Of each effect with a frequency that neither model nor selection has; nothing of one that would be seen at all
-    frequencies that are looked at.
+    """First unseen frequency of each effect with one that neither model nor selection has; nothing of one that would be
+    seen at all frequencies that are looked at.
 
     deviations: of the noise, from how many on something is seen.
     """
     known = {Place.of(entry) for entry in space.model.effects} | {term.place for term in selection.fit.terms}
-    plain = proposer.plain()
-    tried = [term for term in plain if _frequency(term) is not None and term.place not in known]
+    direct = proposer.direct()
+    tried = [term for term in direct if _frequency(term) is not None and term.place not in known]
     for _, group in groupby(tried, lambda term: term.place):
         looked_at = sorted(group, key=_Hz)
-        between = [_between(low, high) for low, high in pairwise(looked_at)]
-        smallest = _smallest(space, selection, plain, looked_at, between, deviations)
+        between = [
+            replace(low, values={**low.values, _frequency(low) or "": float(np.sqrt(_Hz(low) * _Hz(high)))})
+            for low, high in pairwise(looked_at)
+        ]
+        smallest = _smallest(space, selection, direct, looked_at, between, deviations)
         found = sorted(zip([*looked_at, *between], smallest, strict=True), key=lambda one: _Hz(one[0]))
         yield from [Unseen(term, _Hz(term), float(s)) for term, s in found if not s <= term.size][:1]
 
@@ -115,20 +118,20 @@ def _Hz(term: Term) -> float:
     return term.values[_frequency(term) or ""]
 
 
-def _between(low: Term, high: Term) -> Term:
-    """Term at the geometric mean of two frequencies."""
-    return replace(low, values={**low.values, _frequency(low) or "": float(np.sqrt(_Hz(low) * _Hz(high)))})
-
-
 def _smallest(
-    space: Space, selection: Selection, plain: list[Term], looked_at: list[Term], between: list[Term], deviations: float
+    space: Space,
+    selection: Selection,
+    others: list[Term],
+    looked_at: list[Term],
+    between: list[Term],
+    deviations: float,
 ) -> Array:
     """(looked at + between,): smallest strengths that a search sees, inf where it sees none.
 
     On measured motion they have to explain a share of what they leave unexplained, however large they are.
     """
     fit, rows, white = selection.fit, space.predictor.rows, selection.candidates.whitening
-    others = [t for t in plain if t.effect.domain is Domain.INERTIA and _frequency(t) is None]
+    others = [t for t in others if t.effect.domain is Domain.INERTIA and _frequency(t) is None]
     heavy = [t for t in others if not any(map(t.overlaps, fit.terms))]
     own = [space.point(fit.terms, fit.residual).derivatives, *space.strengths(fit.terms, fit.residual, heavy)]
     responses = np.concatenate(space.strengths(fit.terms, fit.residual, [*looked_at, *between]))

@@ -1,4 +1,4 @@
-"""Which terms the data ask for: one stepwise search, forward and backward.
+"""Stepwise search of the terms that the data ask for, forward and backward.
 
 Every candidate is a column of responses. Terms are added while that pays, superfluous ones go, and at the end each must
 show that the data are explained worse without it, and that no other explains them as well: equal ones are tied. Price,

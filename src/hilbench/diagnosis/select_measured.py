@@ -1,6 +1,6 @@
 """Rules of a search where a right model would not leave noise alone: prediction on measured motion.
 
-There the torque is nearly linear in every strength, so that one Gram matrix tells what any term explains beside any
+There the torque is nearly linear in every strength, so that one Gram matrix shows what any term explains beside any
 others. What is left at the end is never noise; its spectrum is taken for one (`hilbench.diagnosis.residual_noise`). A
 term is certain when
 
@@ -9,7 +9,8 @@ term is certain when
   expansion of something else, and comes and goes from one recording to the next,
 - stretches that did not take part in the fit agree.
 
-The simple effects come first (marginality, Nelder 1977): a law of higher order is read beside those that it is made of.
+The simple effects come first (marginality, Nelder 1977): a law of higher order is read beside those that it consists
+of.
 """
 
 from __future__ import annotations
@@ -59,9 +60,9 @@ _STAYING_SHARE: Final = 0.04
 #: Share of a response that those of the present terms leave of it, below which it says nothing of its own.
 _OWN_SHARE: Final = 0.01
 #: The same of a wave's response beside those of the laws of motion: where it has the motion's own frequency all along
-#: (a small swing about a steady speed), inertia and friction make a wave as well.
+#: (a small oscillation about a steady speed), inertia and friction make a wave as well.
 _OWN_SHARE_OF_WAVE: Final = 0.25
-#: Standard deviation of the torque's size over its mean from which it changes by enough to tell what goes with it.
+#: Standard deviation of the torque's size over its mean from which it changes by enough to show what goes with it.
 _CHANGING: Final = 0.5
 #: Additions that are fitted in full at a step.
 _CONTENDERS: Final = 6
@@ -83,15 +84,15 @@ class MeasuredRules:
         return fitted(self.space, terms)
 
     def pruned(self, current: Fit, white: Whitening) -> Fit:
-        """As it is: with a gross error of the model nothing is certain, and nothing superfluous."""
+        """Return the fit as it is: with a gross error of the model nothing is certain, and nothing superfluous."""
         return current
 
     def continued(self, best: Fit, offered: CandidateSet) -> tuple[Fit, CandidateSet, bool]:
-        """From the candidates at the new model; there is always more."""
+        """Continue with the candidates at the new model; there is always more."""
         return best, self.candidates(best), True
 
     def judged(self, current: Fit, offered: CandidateSet) -> Selection:
-        """What is certain given all others."""
+        """Select the terms that are certain given all others."""
         steady = in_both_halves(self.space, in_every_band(self.space, current))
         wandering = {term.place for term in current.terms} - {term.place for term in steady.terms}
         certain = self._without_superfluous(steady)
@@ -99,15 +100,14 @@ class MeasuredRules:
             offered = self.candidates(certain)
         current = certain
         tied = self._tied(current, offered, wandering)
-        plainer = self._with_first_of_alike(current, tied, offered)
-        if plainer is not current:
-            current, offered = plainer, self.candidates(plainer)
+        simpler = self._with_first_of_alike(current, tied, offered)
+        if simpler is not current:
+            current, offered = simpler, self.candidates(simpler)
             tied = self._tied(current, offered, wandering)
         # On one steady sine an inertia replaces a resonance, and leaves more.
-        swung = any(term.swings for term in steady.terms) and not any(term.swings for term in current.terms)
-        exhausted = swung and is_on_one_sine(self.space)
-        untold = self._untold(current, tied, offered)
-        return Selection(current, offered, self.samples, tied, self._evidence(current), exhausted, untold=untold)
+        resonant = any(t.is_torsional for t in steady.terms) and not any(t.is_torsional for t in current.terms)
+        exhausted, few = resonant and is_on_one_sine(self.space), self._unidentifiable(current, tied, offered)
+        return Selection(current, offered, self.samples, tied, self._evidence(current), exhausted, unidentifiable=few)
 
     # -- fits ----------------------------------------------------------------------------------------------
 
@@ -116,7 +116,7 @@ class MeasuredRules:
         return values[..., self.rows]
 
     def _side_bands(self, current: Fit) -> SideBands:
-        """Those of the terms that are there."""
+        """Side bands of the terms of a fit."""
         if self._bands is None or self._bands[0] is not current:
             self._bands = current, SideBands(self.space, self.proposer, current.terms)
         return self._bands[1]
@@ -126,8 +126,8 @@ class MeasuredRules:
     def candidates(self, current: Fit) -> CandidateSet:
         """Every candidate with its response; orders and frequencies from the residual's spectrum."""
         space = self.space
-        plain = self.proposer.plain()
-        candidates = [t for t in plain if not any(map(t.overlaps, current.terms)) and is_in_known_band(space, t)]
+        direct = self.proposer.direct()
+        candidates = [t for t in direct if not any(map(t.overlaps, current.terms)) and is_in_known_band(space, t)]
         responses = space.strengths(current.terms, current.residual, candidates)
         own = space.point(current.terms, current.residual).derivatives
         # Without waves: one that acts as a term that is there is looked at as well, to be tied with it.
@@ -198,7 +198,7 @@ class MeasuredRules:
             started, least = self._started(problem, mine, term, group), least_share(term)
             if started is None or before - started[0] < least * before:
                 continue
-            # A law of higher order is fitted with those that it is made of, even where these are not identified.
+            # A law of higher order is fitted with those that it consists of, even where these are not identified.
             if term.effect.removable and problem.own_share(group[0], [*mine, *simple]) < _OWN_SHARE:
                 continue
             unseen, free = before_unseen - problem.left_unseen([*mine, *group]), 0.0
@@ -220,7 +220,7 @@ class MeasuredRules:
         return None
 
     def _wave_gain(self, problem: StretchedProblem, mine: list[int], group: list[int]) -> float:
-        """What a wave explains with free phases; where the size of the torque hardly changes with free amplitudes, too.
+        """Gain of a wave with free phases; where the size of the torque hardly changes with free amplitudes, too.
 
         There what goes with the torque, and what goes with the direction, are one.
         """
@@ -290,7 +290,7 @@ class MeasuredRules:
         return current
 
     def _shares(self, current: Fit) -> list[float]:
-        """By which share each term lowers what is left without it, the others free to adapt.
+        """Share by which each term lowers what is left without it, the others free to adapt.
 
         Of what is no wave beside the side bands of the waves: a delay makes up for a phase that changes with the speed.
         """
@@ -332,7 +332,7 @@ class MeasuredRules:
     def _alike(
         self, current: Fit, term: Term, left: float, offered: CandidateSet, known: set[Place]
     ) -> Iterator[Place]:
-        """Effects of which it is known that some recordings can't tell them from the term's, and these can't.
+        """Effects that some recordings can't distinguish from the term's, and these can't.
 
         Beside the term their responses say nothing of it (what is fed forward goes with an inertia that the term has
         taken away), so each is fitted in its place.
@@ -350,7 +350,7 @@ class MeasuredRules:
 
     def _with_first_of_alike(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> Fit:
         """The fit with the first in the table of each term and what is alike and tied with it: an inertia that the
-        torque lacks is named, not one of the ways in which it may come to lack it."""
+        torque lacks is named, not one of the reasons why it may lack it."""
         for term in current.terms:
             instead = [
                 other
@@ -364,8 +364,8 @@ class MeasuredRules:
                 return self._with_first_of_alike(found, {one.key: [] for one in found.terms} | tied, offered)
         return current
 
-    def _untold(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> list[Term]:
-        """A candidate of each place of which this motion can tell none, and that is tied with nothing."""
+    def _unidentifiable(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> list[Term]:
+        """A candidate of each place of which this motion can distinguish none, and that is tied with nothing."""
         is_identified = identifiable_on_one_sine(self.space, current.terms, offered)
         known = {*(term.place for term in current.terms), *chain.from_iterable(tied.values())}
         known |= {term.place for term in compress(offered.candidates, is_identified)}

@@ -51,5 +51,5 @@ class Selection:
     evidence: dict[Key, dict[str, float]] = field(default_factory=dict)
     exhausted: bool = False  #: more terms would explain more than may be named
     better: Better | None = None
-    untold: list[Term] = field(default_factory=list)  #: candidates that the motion can't tell from others
+    unidentifiable: list[Term] = field(default_factory=list)  #: not distinguishable from others by the motion
     of_too_few: list[Term] = field(default_factory=list)  #: that explain, by too few frequencies to be named

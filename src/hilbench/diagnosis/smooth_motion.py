@@ -7,7 +7,6 @@ period, and a finer grid costs nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +53,7 @@ def low_passed(values: Array, period_s: float, band_Hz: tuple[float, float]) -> 
 
 
 def _passed(frequency: Array, band_Hz: tuple[float, float]) -> Array:
-    """All up to the first of `band_Hz`, nothing beyond the second."""
+    """Gain of the filter: 1 up to the first of `band_Hz`, 0 beyond the second."""
     low, high = band_Hz
     share = np.clip((frequency - low) / max(high - low, 1e-9), 0.0, 1.0)
     return np.asarray(np.cos(0.5 * np.pi * share) ** 2)
@@ -111,16 +110,12 @@ class Thinning:
         taps *= np.kaiser(len(taps), 3.0)
         return np.asarray(taps / np.sum(taps), np.float64)
 
-    @cached_property
-    def _kept(self) -> dict[int, Array]:
-        return {}
-
     def apply(self, values: Array, whole: int = 1) -> Array:
         """(…, (n - 1)·whole + 1) to (…, rows that are left): a signal on a grid `whole` times that of the recording."""
         down = self.every * whole
         if self.every == 1:
             return np.asarray(values[..., ::down])
-        taps = self._kept.setdefault(whole, self._taps(down))
+        taps = self._taps(down)
         half = len(taps) // 2
         n = values.shape[-1]
         ends = [(0, 0)] * (values.ndim - 1) + [(half, half + down)]

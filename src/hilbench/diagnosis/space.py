@@ -92,8 +92,8 @@ class Split:
         residual: Array | None = None,
         memory: int = 0,
     ) -> Split:
-        """The same, with blocks held out that do not have most of what changes in the signals (signals, n): a fit can't
-        see the one ramp of a production run where that is held out.
+        """Split that holds out blocks without most of what changes in the signals (signals, n): a fit can't see the one
+        ramp of a production run where that is held out.
 
         residual: measured less predicted (signals, n), in units of its noise: what comes once and goes (a splice) is
         not kept from the fit that shall find it either.
@@ -129,7 +129,7 @@ def _shares(measured: Array, rows: NDArray[np.bool_]) -> Array:
 
 
 def _excess(residual: Array, rows: NDArray[np.bool_]) -> Array:
-    """(n,): by how much the squares of residuals (signals, n) of unit noise stand above what they are at other times,
+    """(n,): excess of the squares of residuals (signals, n) of unit noise over what they are at other times,
     as the mean over a while; zero where that may be noise."""
     found = np.zeros(len(rows))
     for square in residual**2:
@@ -189,7 +189,7 @@ class Space:
         return Split.balanced(self.predictor.measured, rows, row_s, shortest_s, left, memory)
 
     def split_again(self, residual: Array) -> bool:
-        """Hold other blocks out where what is left (signals, n) stands nearly all where no fit sees it; whether it did.
+        """Hold other blocks out where what is left (signals, n) is nearly all where no fit sees it; true if it did.
 
         What is larger elsewhere may have hidden, when the blocks were chosen, that they hold out all of another effect.
         """
@@ -235,7 +235,7 @@ class Space:
         return found
 
     def settle(self, terms: list[Term]) -> bool:
-        """From now on let the model with these terms say what the quick part of a measured motion needs; whether there
+        """Take the quick part of a measured motion's torque from the model with these terms from now on; true if there
         is one.
 
         What terms change follows from its calm part; at the corners of a ramp another inertia, or another scale of the
@@ -312,7 +312,7 @@ def finest(space: Space) -> Whitening | None:
 
 
 def noise_model(space: Space, residual: Array, columns: Array) -> Whitening:
-    """What makes the noise white: its floor where a right model leaves white noise, else its colour.
+    """Whitening of the noise: its floor where a right model leaves white noise, else its colour.
 
     residual: measured less predicted (signals, n); columns: raw responses (J, signals, n). The colour is that of the
     residual after every column has had its say; each signal is scaled first, and a small ridge keeps collinear columns

@@ -22,7 +22,7 @@ Rows = NDArray[np.bool_]
 
 #: Most terms of a law; share of the held-out sum of squares by which each must lower it, and the law as a whole.
 _MOST, _EACH, _ALL = 4, 0.02, 0.1
-#: Sliding lengths of presliding friction that are tried, as shares of the way that the axis covers.
+#: Sliding lengths of presliding friction that are tried, as shares of the travel that the axis covers.
 _LENGTHS: Final = (0.001, 0.003, 0.01, 0.03, 0.1)
 #: Speeds of falling friction that are tried, as shares of the highest.
 _SPEEDS: Final = (0.01, 0.05, 0.2)
@@ -160,13 +160,13 @@ def _of_speed(speed: Condition) -> Iterator[_Candidate]:
 
 def _of_position(position: Condition, speeds: Sequence[Condition]) -> Iterator[_Candidate]:
     x, unit = position.values, position.unit
-    way = float(np.ptp(x))
+    travel = float(np.ptp(x))
     yield _Candidate("x", f"N·m/{unit}", x - float(np.mean(x)))
     for order in _ORDERS:
         yield _Candidate(f"sin({order}·x/1 {unit})", "N·m", np.sin(order * x))
         yield _Candidate(f"cos({order}·x/1 {unit})", "N·m", np.cos(order * x))
-    for share in _LENGTHS if way > 0.0 else ():
-        length = share * way
+    for share in _LENGTHS if travel > 0.0 else ():
+        length = share * travel
         yield _Candidate(f"presliding over {length:.3g} {unit}", "N·m", presliding(x, length))
     for speed in speeds:
         yield _Candidate("x·sign(v)", f"N·m/{unit}", (x - float(np.mean(x))) * np.sign(speed.values))

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 _PURE: Final = 0.995
 #: Finer than the lines of the spectrum by, and tries between two of these.
 _FINER, _BETWEEN = 8, 9
-#: Waves over a stroke that a torque that goes with the position is made of.
+#: Waves over a stroke that a torque that goes with the position consists of.
 _WAVES: Final = 5
 
 
@@ -41,7 +41,7 @@ def _left_by_a_sine(values: Array, t_s: Array, frequency_Hz: float) -> float:
 
 
 def evenly_with(position: Array) -> Array:
-    """(waves, n): what goes with a position (n,) that swings about its middle, and is the same on both sides of it;
+    """(waves, n): what goes with a position (n,) that oscillates about its middle, and is the same on both sides of it;
     what is not the same goes with the acceleration, as an inertia does, or changes its sign as friction does."""
     low, high = float(np.min(position)), float(np.max(position))
     angle = np.arccos(np.clip((2.0 * position - low - high) / max(high - low, 1e-300), -1.0, 1.0))

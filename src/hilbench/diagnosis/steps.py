@@ -65,7 +65,7 @@ _TIME_LEVELS: Final = 5
 _CLOSER: Final = np.linspace(-0.75, 0.75, 7)
 _STEP_PEAKS, _APART = 2, 2.5
 #: How often the ends of what grows over a while are looked for more closely, and among how many times. The mean of
-#: steps stands for a ramp where they are close to each other beside the web's ringing.
+#: steps is taken for a ramp where they are close to each other beside the web's ringing.
 _RAMP_LEVELS, _RAMP_TIMES = 2, 24
 #: Information on a strength below which these data say nothing of it.
 _LEAST_INFORMATION: Final = 1e-6
@@ -132,7 +132,7 @@ class Steps:
         return Fit(terms, residual, float("nan"), float("nan"), np.empty((0, 0)))
 
     def again(self, current: Fit, white: Whitening) -> Fit:
-        """The same terms fitted again, weighted by the noise as it is seen now.
+        """Fit the same terms again, weighted by the noise as it is seen now.
 
         What sets in at once is put to the time that is best beside the others; what has grown so fast that it might as
         well have set in at once does.
@@ -153,15 +153,15 @@ class Steps:
         return found.train + found.test + price(found.terms, self.samples)
 
     def candidates(self, current: Fit, known: CandidateSet | None = None) -> CandidateSet:
-        """All candidates at a model, each with its response.
+        """Candidates at a model, each with its response.
 
-        Searched ones need to know the noise first, which is seen when every plain candidate has had its say; then the
-        noise is seen once more, beside all of them. known: a set at another model (`carried_over`); of its plain
+        Searched ones need to know the noise first, which is seen when every direct candidate has had its say; then the
+        noise is seen once more, beside all of them. known: a set at another model (`carried_over`); of its direct
         candidates those that are far from promising anything keep their responses.
         """
         space = self.space
-        plain = [t for t in self.proposer.plain() if not any(map(t.overlaps, current.terms))]
-        responses = self._responses(current, plain, known)
+        direct = [t for t in self.proposer.direct() if not any(map(t.overlaps, current.terms))]
+        responses = self._responses(current, direct, known)
         own = space.point(current.terms, current.residual).derivatives
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         whitened = self.masked(white.apply(current.residual))
@@ -175,12 +175,12 @@ class Steps:
         searched, responses = searched + whole, responses + more
         responses = responses + space.strengths(current.terms, current.residual, whole)
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
-        return CandidateSet(white, current.residual, own, plain + searched, responses)
+        return CandidateSet(white, current.residual, own, direct + searched, responses)
 
-    def _responses(self, current: Fit, plain: list[Term], known: CandidateSet | None) -> list[Array]:
-        """Responses of plain candidates; of those that are far from promising anything as they are known."""
+    def _responses(self, current: Fit, direct: list[Term], known: CandidateSet | None) -> list[Array]:
+        """Responses of direct candidates; of those that are far from promising anything as they are known."""
         if known is None:
-            return self.space.strengths(current.terms, current.residual, plain)
+            return self.space.strengths(current.terms, current.residual, direct)
         promising = self.ranked(known, known.residual, known.own, len(known.candidates), _FAR_FROM_PROMISING)
         places = {term.place for terms in promising for term in terms}
         by_term = {
@@ -188,8 +188,8 @@ class Steps:
             for t, response in zip(known.candidates, known.responses, strict=True)
             if t.place not in places
         }
-        found = [by_term.get((t.key, t.probe, *t.values.items())) for t in plain]
-        new = [t for t, response in zip(plain, found, strict=True) if response is None]
+        found = [by_term.get((t.key, t.probe, *t.values.items())) for t in direct]
+        new = [t for t, response in zip(direct, found, strict=True) if response is None]
         anew = iter(self.space.strengths(current.terms, current.residual, new))
         return [next(anew) if response is None else response for response in found]
 
@@ -256,7 +256,7 @@ class Steps:
     def _gradual(
         self, effect: Effect, current: Fit, white: Whitening, known: OnsetResponses, section: Section | None
     ) -> list[Term]:
-        """What grows between two of the known times, those that would explain most; then between closer ones.
+        """Terms that grow between two of the known times, those that would explain most; then between closer ones.
 
         The response of a ramp is the mean of those of the steps within it, so no ramp need be simulated.
         """
@@ -272,19 +272,19 @@ class Steps:
         return self.proposer.gradual(effect, begin_s, end_s - begin_s, current.terms, section)
 
     def _tune(
-        self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array], plain: list[Array]
+        self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array], direct: list[Array]
     ) -> list[int]:
         """Put orders and frequencies, in place, where responses fit best, and simulate those anew that moved; return
         the places of those that were looked at.
 
-        responses, plain: raw, (1 or 2, signals, n) each, of the searched and the other candidates. The peak of a
+        responses, direct: raw, (1 or 2, signals, n) each, of the searched and the other candidates. The peak of a
         spectrum is beside the right order where the machine answers more strongly at another speed; a fit started there
         ends in a minimum beside it. One that explains little, or far less than something else does, is none of the next
         to be added, and its order or frequency may come from what that one leaves: it is not looked at.
         """
         residual = self.trained(white.apply(current.residual))
         gains = [0.0]
-        for column in (column for response in [*plain, *responses] for column in response):
+        for column in (column for response in [*direct, *responses] for column in response):
             whitened = self.trained(white.apply(column))
             gains.append(float(np.vdot(whitened, residual)) ** 2 / max(float(np.vdot(whitened, whitened)), 1e-300))
         looked_at, moved = [], []
@@ -337,7 +337,7 @@ class Steps:
         return exceeds_noise(current.residual, self.rows, floors)
 
     def promises(self, offered: CandidateSet) -> bool:
-        """Whether anything is left that a candidate could explain, or that none can."""
+        """True if anything is left that a candidate could explain, or that none can."""
         if self.ranked(offered, offered.residual, offered.own):
             return True
         whitened = self.masked(offered.whitening.apply(offered.residual))
@@ -403,9 +403,9 @@ class Steps:
         return term
 
     def _is_confirmed(self, white: Whitening, current: Fit, test: float, found: Fit) -> bool:
-        """Whether rows that no fit has seen speak for an addition, too.
+        """True if rows that no fit has seen speak for an addition, too.
 
-        Where it hardly shows on the held-out rows (creep speed that came once, say) they can't tell. Then what was
+        Where it hardly shows on the held-out rows (creep speed that came once, say) they can't decide. Then what was
         found in either half of the rows on which it shows has to hold in the other half.
         """
         rows = self.space.split
@@ -423,7 +423,7 @@ class Steps:
         return self._held_out_agrees(gain, 0.0)
 
     def _held_out_agrees(self, before: float, after: float) -> bool:
-        """Whether a fall of the sum of squares is beyond chance.
+        """True if a fall of the sum of squares is beyond chance.
 
         The whitened noise has variance 1, so the standard error of a gain is 2·√gain.
         """
@@ -436,7 +436,7 @@ class Steps:
         """Candidates, and pairs, that promise most, and by `least` more than their price; with start values.
 
         residual: raw (signals, n); own: raw columns (J, signals, n) of the terms that are there; most: so many single
-        ones. By default a few, of those that promise the same the first: what these data can't tell apart at all would
+        ones. By default a few, of those that promise the same the first: what these data can't distinguish at all would
         fill all seats, and is looked at among the alternatives.
         """
         problem, mine = self._linear(offered, residual, own), list(range(len(own)))
@@ -477,7 +477,8 @@ class Steps:
     def _started(
         problem: StretchedProblem, mine: list[int], *members: tuple[Term, list[int]]
     ) -> tuple[float, list[Term]] | None:
-        """What some candidates leave together, and their start values; None where a bound forbids their sign.
+        """Residual sum of squares of some candidates together, and their start values; None where a bound forbids their
+        sign.
 
         mine: columns of the terms that are there; members: candidates that are added, each with its columns.
         """

@@ -42,7 +42,7 @@ class StretchedProblem:
         return cls(np.array(gram), np.array(cross), np.array(square), whole, ridge)
 
     def with_back(self, columns: range, known: Array) -> StretchedProblem:
-        """The same of a residual that has so much of some of the columns as well."""
+        """Problem of a residual that has so much of some of the columns as well."""
         at = list(columns)
         square = self.square + 2.0 * self.cross[:, at] @ known + known @ self.gram[:, at][:, :, at] @ known
         return replace(self, cross=self.cross + self.gram[:, :, at] @ known, square=square)

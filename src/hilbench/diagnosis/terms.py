@@ -1,7 +1,7 @@
 """Candidates: effects of the vocabulary as terms of a fit, in coordinates in which a fit is well-behaved.
 
 An amplitude with a phase is fitted by its two components; everything else by its own parameters. What an effect
-is, its parameters, units, bounds and step sizes stand in `hilbench.plant.effects` alone.
+is, its parameters, units, bounds and step sizes are in `hilbench.plant.effects` alone.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Place(NamedTuple):
 
     @property
     def text(self) -> str:
-        """For a person."""
+        """Text for a person."""
         return self.effect + (f" of {self.where}" if self.where else "")
 
     @property
@@ -153,7 +153,7 @@ class Term:
         return self.has_phase or (self.effect.probe is not None and self.effect.probe.over is ProbeOver.FREQUENCIES)
 
     @property
-    def swings(self) -> bool:
+    def is_torsional(self) -> bool:
         """True if it is a resonance of a part of the machine."""
         return self.is_of_a_frequency and not self.has_phase
 
@@ -246,7 +246,7 @@ def parts(terms: Sequence[Term]) -> list[slice]:
 
 
 def strength_parts(terms: Sequence[Term]) -> list[slice]:
-    """Those of each term in which the model is nearly linear."""
+    """Coordinates of each term in which the model is nearly linear."""
     return [slice(part.start, part.start + term.linear) for term, part in zip(terms, parts(terms), strict=True)]
 
 

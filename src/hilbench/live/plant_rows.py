@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 Cycles = NDArray[np.int64]
 
-#: What the drives measure; all else is said, or told by the twin.
+#: Signals that the drives measure; all others are commands, or the twin's.
 _MEASURED: Final = re.compile(r"(x|v|tau)(\d+|_\w+?)_(m|m_s|rad|rad_s|Nm)")
 _COMMAND: Final = re.compile(r"\w+_cmd_\w+")
 _POSITION: Final = re.compile(r"x\d+_(m|rad)")
@@ -38,7 +38,7 @@ _BEFORE: Final = 4
 _MOST_ODD: Final = 100
 #: Cycles in which no row came from which on they are not bridged, s.
 _LONGEST_S: Final = 0.5
-#: Share of the newest way in the way of a cycle that is expected.
+#: Share of the newest travel in the expected travel of a cycle.
 _NEWEST: Final = 0.3
 
 

@@ -34,7 +34,7 @@ _EXCHANGED: Final = 5.0
 
 
 def exchanged_m(model: ModelParameters) -> float:
-    """Way of the web after which nothing is left of that which was in the spans."""
+    """Travel of the web after which nothing is left of that which was in the spans."""
     return remembered_m(model, _EXCHANGED)
 
 

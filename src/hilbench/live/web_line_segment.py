@@ -36,8 +36,8 @@ _MOVES_M_S = 0.05
 _QUIET_SHARE = 0.006
 #: Signals that show how far the web is stretched.
 _AWAY = re.compile(r"x\d+_m - x\d+_m")
-#: Rows over which a way bends that is left at once, and behind a late one within which it does; how far, in deviations
-#: of what a right model leaves.
+#: Rows over which a travel bends that is left at once, and behind a late one within which it does; how far, in
+#: deviations of what a right model leaves.
 _PUSH, _PUSH_AFTER, _PUSHED = 10, 60, 3.0
 
 

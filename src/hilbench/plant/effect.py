@@ -147,7 +147,7 @@ class Lookalike:
     """Cause outside the vocabulary that an effect may be mistaken for: reported with it, never named."""
 
     name: str
-    told_apart_by: str  #: the experiment that separates the two
+    distinguished_by: str  #: the experiment that separates the two
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +196,7 @@ class Effect:
     probe: Probe | None = None
     #: True if a search may drop it again where residuals are never noise alone. The simple effects are kept, and
     #: searched first: |v| is the product of v and sign(v), and a term of higher order is interpreted together with
-    #: those that it is made of, the constant included (marginality, Nelder 1977).
+    #: those that it consists of, the constant included (marginality, Nelder 1977).
     removable: bool = True
     #: True if it needs inertia on both sides of a gear.
     needs_gear: bool = False

@@ -35,7 +35,7 @@ _FASTEST_M_S2 = 100.0
 #: Further divergence of the axes of one machine allowed per cycle, in those plays.
 _APART = 0.5
 #: Largest acceleration of a running machine, by the unit of its positions (1/s²).
-_ON_ITS_WAY = {"m": 20.0, "rad": 2e3}
+_RUNNING_PER_S2 = {"m": 20.0, "rad": 2e3}
 
 
 #: Most successive cycles refused because the axes' travels give different numbers of cycles.
@@ -291,7 +291,7 @@ class OwnIncrements:
 def play(position_unit: str, cycle_s: float) -> float:
     """Largest change of a cycle's travel from one cycle to the next, in the unit of the position ("m" at the web, "rad"
     at a motor)."""
-    return _ON_ITS_WAY[position_unit] * cycle_s**2
+    return _RUNNING_PER_S2[position_unit] * cycle_s**2
 
 
 def cycles_elapsed(

@@ -1,1 +1,1 @@
-"""What a run leaves behind: trace, recording, run folder."""
+"""Files of a run: trace, recording, run folder."""

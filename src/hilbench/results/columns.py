@@ -13,7 +13,7 @@ def _without_numbers(name: str) -> str:
 
 
 def unknown_columns(names: Collection[str]) -> list[str]:
-    """What is to be said of each: its name, and the channel that may have been meant, of those that are not there.
+    """Columns among these names that are no channel, each with the channel that may have been meant.
 
     A name that is not in the signal list, but ends in an SI unit, is a channel as well (`hilbench.topology.signals`),
     unless it is much like one that is missing. The same name with another number is that of another axis.

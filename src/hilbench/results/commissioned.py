@@ -1,4 +1,4 @@
-"""What is said of the priors that a twin begins with: how old they are, and what they are."""
+"""Text about the priors that a twin begins with: how old they are, and what they are."""
 
 from __future__ import annotations
 

@@ -59,8 +59,8 @@ def read_mdf(path: Path) -> MdfChannels:
 
 @contextmanager
 def _tracebacks_dropped() -> Iterator[None]:
-    """Of a damaged file asammdf prints tracebacks, too: on standard output, by its logger, and when half-made objects
-    are let go."""
+    """Suppress the tracebacks that asammdf prints of a damaged file: on standard output, by its logger, and when
+    half-made objects are let go."""
     logger, hook = logging.getLogger("asammdf"), sys.unraisablehook
     logger.disabled, disabled = True, logger.disabled
     sys.unraisablehook = lambda _: None

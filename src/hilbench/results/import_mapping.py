@@ -43,7 +43,7 @@ _CSV = (".csv", ".txt", ".tsv", ".gz")
 
 
 class TextFile(Block):
-    """How the text file is written."""
+    """Format of the text file."""
 
     delimiter: str = ","
     decimal: str = Field(default=".", min_length=1, max_length=1)
@@ -52,7 +52,7 @@ class TextFile(Block):
 
 
 class Column(Block):
-    """Where a channel comes from: value = factor · column + offset, in the channel's SI unit."""
+    """Source of a channel: value = factor · column + offset, in the channel's SI unit."""
 
     column: str
     factor: float = 1.0
@@ -87,7 +87,7 @@ class ColumnMapping(Block):
 
 
 def read_foreign(path: Path, mapping_path: Path, report: Callable[[str], None] = lambda text: None) -> Recording:
-    """Read a recording of another machine; `report` hears which columns the mapping leaves out.
+    """Read a recording of another machine; `report` gets the columns that the mapping leaves out.
 
     Raises UnusableInputError: file, what was found, what was expected.
     """
@@ -155,6 +155,6 @@ def _columns(path: Path, file: TextFile, report: Callable[[str], None]) -> dict[
 
 
 def _is_row_of_units(line: str, file: TextFile) -> bool:
-    """Whether the first line behind the header has words, and neither a number nor a date."""
+    """True if the first line behind the header has words, and neither a number nor a date."""
     cells = [cell.strip().strip('"') for cell in line.split(file.delimiter)]
     return any(cells) and not any(_NUMBER_OR_DATE.match(cell) for cell in cells)

@@ -85,7 +85,7 @@ def append_to_journal(path: Path, change: Change) -> None:
 
 
 def read_journal(path: Path) -> list[Change]:
-    """All changes in their order; a last line that a crash cut off is left out.
+    """Read all changes in their order; a last line that a crash cut off is left out.
 
     Raises UnusableInputError with file and line on anything that is no change.
     """

@@ -41,7 +41,7 @@ class Keeping:
         self._builder = builder
 
     def pieces(self, sample: CycleSample) -> CompiledStages:
-        """Of a cycle with this sample. The next block is Python's."""
+        """Compiled stages of a cycle with this sample. The next block is Python's."""
         builder, of = self._builder, self._builder.block
         kept = _Kept(sample.wholes, of.view(np.int64), builder.used)
         table = table_of(kept)

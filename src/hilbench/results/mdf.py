@@ -46,7 +46,7 @@ _THINNED: Final = '<common_properties><e name="full_rate">around_events</e></com
 
 @dataclass(frozen=True)
 class Column:
-    """A channel of a file: its name, type of its samples, unit, meaning, and the group it stands in."""
+    """A channel of a file: its name, type of its samples, unit, meaning, and the group it belongs to."""
 
     name: str
     dtype: np.dtype[Any]
@@ -163,7 +163,7 @@ class _Layout:
         return bytes(self._text), groups[::-1]
 
     def _group(self, name: str, columns: list[Column], following: int) -> tuple[_Group, int]:
-        """The group, and where its data group stands."""
+        """The group, and the address of its data group."""
         dtype = np.dtype([(column.name, column.dtype) for column in (self._time, *columns)])
         channel, offset = 0, dtype.itemsize
         for column in reversed((self._time, *columns)):
@@ -211,7 +211,7 @@ def _xml(of: str, text: str, more: str = "") -> bytes:
 
 
 def is_ours(path: Path) -> bool:
-    """Whether `MdfWriter` has written a file. Raises OSError, UnusableInputError for what is no file."""
+    """True if `MdfWriter` has written a file. Raises OSError, UnusableInputError for what is no file."""
     require_file(path)
     with open(path, "rb") as file:
         head = file.read(64)

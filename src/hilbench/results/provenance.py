@@ -1,4 +1,4 @@
-"""Where a run comes from: what was overridden, which commit its config is of, on which host, with which EDS files."""
+"""Provenance of a run: what was overridden, the commit of its config, host and EDS files."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class EdsFile(Strict):
 
 
 class Provenance(Strict):
-    """Where a run comes from. `participants`: who brought the simulated hardware and the twin; `git` is None where the
+    """Provenance of a run. `participants`: who brought the simulated hardware and the twin; `git` is None where the
     config is in no checkout, or not asked for yet."""
 
     config: str
@@ -57,7 +57,7 @@ class Provenance(Strict):
 
     @classmethod
     def of(cls, config: BenchConfig, document: strict_yaml.Document, participants: Participants) -> Self:
-        """Of a run that is about to start. Raises UnusableInputError for an EDS file that has gone."""
+        """Provenance of a run that is about to start. Raises UnusableInputError for an EDS file that has gone."""
         return cls(
             config=str(document.path),
             host=platform.node(),
@@ -90,7 +90,7 @@ def commit_of(path: Path) -> Commit | None:
 
 
 def _git(path: Path, *questions: Sequence[str]) -> list[str | None]:
-    """What git says in the folder of a file, to all of them at once. It writes nothing there, and
+    """Answers of git in the folder of a file, to all questions at once. It writes nothing there, and
     runs nothing that the checkout names."""
     command = ["git", "-c", "core.fsmonitor=false", "-C", str(path.resolve().parent)]
     environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}

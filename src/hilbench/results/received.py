@@ -1,4 +1,4 @@
-"""What a bench does that runs on a bus: its last cycles, as its recording will have them."""
+"""Last cycles of a bench that runs on a bus, as its recording will have them."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _READ_S: Final = 0.05
 
 
 class Reader(Protocol):
-    """Who reads objects of other nodes (`hilbench.canopen.sdo_client.SdoClient`)."""
+    """Reader of objects of other nodes (`hilbench.canopen.sdo_client.SdoClient`)."""
 
     def upload(self, node_id: int, index: int, sub: int) -> bytes:
         """The content of an object."""
 
 
 def received(config: BenchConfig, link: Link, reader: Reader) -> Recording:
-    """The last cycles of the bench that runs on this bus; what it is asked for is read from its node.
+    """The last cycles of the bench that runs on this bus; its set points are read from its node.
 
     Raises UnusableInputError where none runs, or its drives are not enabled.
     """
@@ -49,7 +49,7 @@ def received(config: BenchConfig, link: Link, reader: Reader) -> Recording:
 
 
 def from_frames(config: BenchConfig, frames: Sequence[Frame], reader: Reader) -> Recording:
-    """The same of frames that were heard already, in their order. Raises as `received`."""
+    """Last cycles from frames received already, in their order. Raises as `received`."""
     place = f"bus {config.bus.address}"
     if not any(frame.can_id == SYNC for frame in frames):
         raise UnusableInputError(place, f"no SYNC within {_LONGEST_S:g} s, expected a bench that runs")
@@ -64,6 +64,6 @@ def _with_asked(config: BenchConfig, recording: Recording, reader: Reader) -> Re
             try:
                 data = reader.upload(config.master.node_id, INDEX, OPERATOR_OBJECTS[path][0])
             except (SdoAbortedError, SdoCommunicationError):
-                continue  # who asks for it is told
+                continue  # the caller of such a signal gets the reason
             channels[signal] = np.full(len(recording.time_s), DataType.REAL32.decode(data))
     return Recording(channels)

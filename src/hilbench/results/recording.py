@@ -65,7 +65,7 @@ class Recording:
 
     @property
     def is_reduced(self) -> bool:
-        """Whether it does not have all samples of its file."""
+        """True if it does not have all samples of its file."""
         return len(self) < self.samples
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -155,7 +155,7 @@ def write_recording(recording: Recording, path: Path) -> None:
 
 @dataclass(frozen=True)
 class _Source:
-    """What is written: what it is of, and its samples, piece by piece."""
+    """Source of a file: what it is of, and its samples, piece by piece."""
 
     columns: Sequence[Column]
     start_time: datetime | None
@@ -369,7 +369,7 @@ def _check_time(time_s: NDArray[np.float64], path: Path) -> None:
 
 
 def _is_in_pieces(path: Path) -> bool:
-    """Whether a recording is one that is read piece by piece."""
+    """True if a recording is read piece by piece."""
     try:
         return _kind(path) == ".mf4" and is_ours(path)
     except OSError:  # whoever reads it says so
@@ -377,7 +377,7 @@ def _is_in_pieces(path: Path) -> bool:
 
 
 def _of_pieces(pieces: MdfPieces, chosen: Iterable[Mapping[str, NDArray[Any]]]) -> Recording:
-    """Those of its pieces."""
+    """Recording of the chosen pieces."""
     empty = {column.name: np.empty(0, column.dtype) for column in pieces.columns}
     return _from_columns(
         pieces, joined(chosen, min(pieces.rows, MOST_VALUES // len(pieces.columns) + BLOCK_ROWS)) or empty
@@ -403,7 +403,7 @@ def _read_pieces(path: Path) -> Recording:
 
 
 def _events_beside(path: Path, cycle_time_s: float) -> list[Event]:
-    """What the journal of the run says that left a recording."""
+    """Events by the journal of the run that left a recording."""
     journal = path.with_name("journal.log")
     return journal_events(read_journal(journal), cycle_time_s) if journal.is_file() else []
 

@@ -45,13 +45,13 @@ class RecordingBuilder:
         self._at[0] += 1
 
     def append_packed(self, row: memoryview) -> None:
-        """The same of a row that is in memory already, as bytes. Raises ValueError if it has another length."""
+        """Append a row that is in memory already, as bytes. Raises ValueError if it has another length."""
         at = self._next_row()
         self._bytes[at : at + self._row_size] = row
         self._at[0] += 1
 
     def _next_row(self) -> int:
-        """Where it begins in the bytes of the block."""
+        """Offset of the next row in the bytes of the block."""
         if self._at[0] == len(self.block):
             self.next_block()
         return self._at[0] * self._row_size
@@ -66,7 +66,8 @@ class RecordingBuilder:
         return sum(map(len, self._full)) + self._at[0]
 
     def build(self, start_time: datetime | None = None, comment: str = "") -> Recording:
-        """What was recorded so far, as a copy; counts and bit fields become integers where every sample is one."""
+        """Build a recording of what was recorded so far, as a copy; counts and bit fields become integers where every
+        sample is one."""
         rows = np.concatenate([*self._full, self.block[: self._at[0]]])
         whole = rows.view(np.int64)
         channels = {

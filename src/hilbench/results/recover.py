@@ -1,4 +1,4 @@
-"""What a run that was cut off (``kill -9``, power, a full disk) could not write, made from what it left.
+"""Recovery of a run that was cut off (``kill -9``, power, a full disk), from what it left.
 
 Its samples are in its folder, to the last (`hilbench.results.spool`). Where they are lost they are rebuilt from the
 trace: it has every frame up to the last cycle or two, so what was measured and commanded is decoded from it as the
@@ -70,7 +70,7 @@ class CycleFrames:
 
 @dataclass
 class Recovery:
-    """What was rebuilt, and what was found."""
+    """A rebuilt recording, and what was found with it."""
 
     recording: Recording
     started: datetime  #: time of the first SYNC
@@ -109,7 +109,7 @@ def recover_run(folder: RunFolder) -> list[Path]:
 
 @dataclass(frozen=True)
 class _Ended:
-    """What is known of a run that was cut off beside its samples."""
+    """State of a run that was cut off, beside its samples."""
 
     started: datetime
     samples: int
@@ -121,7 +121,8 @@ class _Ended:
 
 
 def _finish_recording(folder: RunFolder, config: ExperimentConfig) -> _Ended:
-    """Put what was on its way into the recording. Raises UnusableInputError where that are less than two samples."""
+    """Put what was not written yet into the recording. Raises UnusableInputError where that are less than two
+    samples."""
     left = folder.unfinished_recording
     samples, bits, last_s = 0, 0, 0.0
 
@@ -262,8 +263,8 @@ def _cycles(frames: Iterable[Frame], nodes: Nodes) -> Iterator[CycleFrames]:
 
 
 def _run_by_the_bench(cycles: Iterator[CycleFrames], nodes: Nodes) -> Iterator[CycleFrames]:
-    """By the clock SYNC goes out without the bench, too. It sends set points with each that it runs a cycle for; what
-    came at the others it has read as late in its next cycle."""
+    """Cycles that the bench ran: by the clock SYNC goes out without it, too. It sends set points with each that it
+    runs a cycle for; what came at the others it has read as late in its next cycle."""
     set_points = nodes.axes[0].pdos.rpdo.cob_id
     late: list[Frame] = []
     elapsed_cycles = 0
@@ -277,7 +278,7 @@ def _run_by_the_bench(cycles: Iterator[CycleFrames], nodes: Nodes) -> Iterator[C
 
 
 def _complete(cycles: Iterator[CycleFrames], nodes: Nodes) -> Iterator[CycleFrames]:
-    """All cycles but a last one that lacks the drives' answers."""
+    """Cycles without a last one that lacks the drives' answers."""
     needed = {pdo.cob_id for pdo in nodes.expected_pdos() if pdo.every == 1 and pdo.vital}
     before: CycleFrames | None = None
     for cycle in cycles:
@@ -389,7 +390,7 @@ class Decoder:
         self._state.enabled = True
 
     def _apply_changes(self, cycle: int) -> None:
-        """What the bench did before the cycle after `cycle`."""
+        """Apply what the bench did before the cycle after `cycle`."""
         changes = self._changes or []
         while self._next_change < len(changes) and changes[self._next_change].cycle <= cycle:
             self._apply(changes[self._next_change])

@@ -23,7 +23,7 @@ Columns = Mapping[str, NDArray[Any]]
 Array = NDArray[np.float64]
 
 #: Values of a recording that are kept in memory; of a longer one it is made as short as that. 24 MB: with what
-#: is made of them that, beside a process of 290 MB with all its machine code, is below 400 MB.
+#: consists of them that, beside a process of 290 MB with all its machine code, is below 400 MB.
 MOST_VALUES: Final = 3_000_000
 #: Full rate from before an event (the settled part of what precedes it is 5 s, `runs.figures.SETTLED_S`) to after it.
 BEFORE_S: Final = 6.0
@@ -47,7 +47,7 @@ class FullRate:
 
     @classmethod
     def around(cls, times_s: Iterable[float], share: float = 1.0) -> FullRate:
-        """From before to after each time; of narrower intervals so large a `share`."""
+        """Intervals from before to after each time; of narrower ones so large a `share`."""
         times = np.unique(np.fromiter(times_s, np.float64))
         starts, ends = times - share * BEFORE_S, times + share * AFTER_S
         first = np.ones(len(times), bool)
@@ -56,17 +56,17 @@ class FullRate:
         return cls(starts[first], ends[last])
 
     def length_s(self, first_s: float, last_s: float) -> float:
-        """Of all intervals together, as far as they lie between two times."""
+        """Length of all intervals together, as far as they lie between two times."""
         return float(np.sum(np.minimum(self.ends, last_s) - np.maximum(self.starts, first_s)))
 
     def holds(self, time_s: Array) -> NDArray[np.bool_]:
-        """Which of these times, shape (n,), lie within."""
+        """True for each of these times (n,) within an interval."""
         at = np.searchsorted(self.starts, time_s, side="right") - 1
         return (at >= 0) & (time_s <= np.append(self.ends, -np.inf)[at])
 
 
 def times_of(events: Iterable[Event]) -> Iterator[float]:
-    """When something happens: a ramp begins, and ends."""
+    """Times at which something happens: a ramp begins, and ends."""
     for event in events:
         yield from {event.start_s, event.end_s}
 
@@ -98,8 +98,7 @@ def thinned(columns: Columns, full_rate: FullRate, stretch: int) -> dict[str, ND
 
 
 def _starts(full: NDArray[np.bool_], stretch: int) -> NDArray[np.int_]:
-    """Where stretches begin: at each sample of full rate, and at every so many others of those that follow each
-    other."""
+    """First samples of stretches: each one of full rate, and every so many others of those that follow each other."""
     at = np.arange(len(full))
     begins = np.ones(len(full), bool)
     begins[1:] = full[1:] != full[:-1]
@@ -108,7 +107,7 @@ def _starts(full: NDArray[np.bool_], stretch: int) -> NDArray[np.int_]:
 
 
 class Survey:
-    """What a recording shows of itself, piece by piece: when something happens, how long it is, its sample time."""
+    """Survey of a recording, piece by piece: when something happens, how long it is, its sample time."""
 
     def __init__(self, names: Iterable[str]) -> None:
         self._quantities = recorded_quantities(names)
@@ -134,8 +133,8 @@ class Survey:
 
 
 def reduced(pieces: MdfPieces, events: Callable[[float], Sequence[Event]]) -> dict[str, NDArray[Any]]:
-    """All channels of a long recording with at most `MOST_VALUES` values; `events`: those that no signal shows, by the
-    sample time (s)."""
+    """Reduce all channels of a long recording to at most `MOST_VALUES` values; `events`: those that no signal shows, by
+    the sample time (s)."""
     survey = Survey(column.name for column in pieces.columns)
     for piece in pieces.having(survey.signals):
         survey.take(piece)

@@ -20,7 +20,7 @@ _TOGETHER_S = 0.0005
 
 @dataclass
 class Replayed:
-    """What went out."""
+    """Frames that were sent."""
 
     frames: int = 0
     left_out: int = 0
@@ -28,7 +28,7 @@ class Replayed:
 
 
 def is_command(frame: Frame) -> bool:
-    """Whether a frame tells nodes to do something (by the predefined connection set)."""
+    """True if a frame is a command to nodes (by the predefined connection set)."""
     can_id = frame.can_id
     commands_something = can_id & FUNCTION_CODE in _COMMANDS or can_id & COB_ID == SYNC
     return commands_something and not can_id & (EXTENDED_FLAG | ERROR_FLAG)

@@ -59,7 +59,7 @@ class Jitter(Strict):
 
 
 class Histogram(Strict):
-    """How many cycles were how late: `counts[i]` between `edges_us[i]` and `edges_us[i + 1]`."""
+    """Histogram of lateness: `counts[i]` cycles between `edges_us[i]` and `edges_us[i + 1]`."""
 
     edges_us: list[float]
     counts: list[Count]
@@ -72,7 +72,7 @@ class Histogram(Strict):
 
 
 class Late(Strict):
-    """How often a participant's answer to SYNC came late since the drives were enabled: its last one was used again
+    """Late answers of a participant to SYNC since the drives were enabled: its last one was used again
     (a drive), or one of an earlier SYNC (the twin), `oldest_cycles` old at most."""
 
     cycles: Count
@@ -85,7 +85,7 @@ _LATE_WARNING_PCT = 1.0
 
 
 class Timing(_WithOptions):
-    """How the cycles went. `cycle_us` is the nominal cycle, `cycles` has those of the recording, without start and
+    """Timing of the cycles. `cycle_us` is the nominal cycle, `cycles` has those of the recording, without start and
     stop of the drives; `jitter_us` is None where nobody measured it.
 
     `realtime_factor` is bus time over wall time; `bus_load_pct` the mean share of the bus' capacity in use.
@@ -124,7 +124,7 @@ class Timing(_WithOptions):
         }
 
     def warnings(self) -> list[str]:
-        """What a reader of the run must know before trusting it: one line for each process that lost frames."""
+        """Warnings to read before the run is trusted: one line for each process that lost frames."""
         texts = []
         if self.lost_frames:
             since = "" if self.first_loss_s is None else f", first noticed at t = {self.first_loss_s:.3f} s"
@@ -161,7 +161,7 @@ class Fault(Strict):
 
 
 class Warned(_WithOptions):
-    """What did not stop the run, counted by source and kind: the first time (s of bus time) and its text, the number
+    """Warnings of a run, counted by source and kind: the first time (s of bus time) and its text, the number
     of times, and, where there were several, the last time and its text."""
 
     time_s: float | None
@@ -172,12 +172,12 @@ class Warned(_WithOptions):
     last_text: str | None = None
 
     def line(self) -> str:
-        """As a terminal shows it."""
+        """Line for a terminal."""
         when = "" if self.time_s is None else f"t = {self.time_s:.3f} s, "
         return f"{when}{self.source}: {self.text}{self.repeated()}"
 
     def repeated(self) -> str:
-        """What is to be said of further times, "" where it was the only one."""
+        """Text about further times, "" where it was the only one."""
         if self.count == 1:
             return ""
         last = "" if self.last_text in (None, self.text) else f", then: {self.last_text}"
@@ -193,7 +193,7 @@ def _version(package: str) -> str:
 
 
 class Environment(Strict):
-    """What a run ran on, so that its result can be judged later and elsewhere."""
+    """Environment of a run, by which its result can be judged later and elsewhere."""
 
     hilbench: str
     python: str
@@ -242,7 +242,7 @@ class EventRecord(Strict):
 
     @classmethod
     def of(cls, event: Event) -> Self:
-        """As it stands in the file."""
+        """Record for the file."""
         changes = [
             ChangeRecord(path=change.path, before=_known(change.before), after=_known(change.after))
             for change in event.changes
@@ -262,7 +262,7 @@ class StepRecord(Strict):
 
     @classmethod
     def of(cls, step: StepFigures) -> Self:
-        """As it stands in the file."""
+        """Record for the file."""
         return cls(
             number=step.number,
             text=str(step.event) if step.event else str(step),
@@ -296,7 +296,7 @@ class PredictedLimit(_WithOptions):
 
     @classmethod
     def of(cls, made: Announcement) -> Self:
-        """As it stands in the file."""
+        """Record for the file."""
         watched = made.crossing.watched
         return cls(quantity=watched.name, **_shared(cls, made, made.crossing, watched))
 
@@ -331,7 +331,7 @@ class EstimatedRecord(Strict):
 
     @classmethod
     def of(cls, found: EstimatedModelError) -> Self:
-        """As it stands in the file."""
+        """Record for the file."""
         half = _NORMAL_95 * found.deviation
         return cls(
             ci95=(found.value - half, found.value + half),
@@ -351,7 +351,7 @@ class GapRecord(Strict):
 
 
 class FoundRecord(Strict):
-    """What was found while the bench ran: an effect that had come, or (`gone`) that of a model that had gone.
+    """Finding while the bench ran: an effect that had come, or (`gone`) that of a model that had gone.
 
     `t_s`: since when model and measurement parted (s of experiment time); how long after that it was named, and in the
     twin's model (None: it never was; `refused`: by the operator); `tension_step_N`: largest change of a simulated
@@ -378,7 +378,7 @@ class FoundRecord(Strict):
 
     @classmethod
     def of(cls, change: ModelChange) -> list[Self]:
-        """As they stand in the file: one for each effect of a change."""
+        """Records for the file: one for each effect of a change."""
         both = [*((effect, False) for effect in change.effects), *((effect, True) for effect in change.gone)]
         gap = None if change.gap is None else GapRecord(**asdict(change.gap))
         return [
@@ -406,7 +406,7 @@ class StreamRecord(Strict):
     dropped: Count
 
     def warnings(self) -> list[str]:
-        """What is to be said of it."""
+        """Warnings about the stream."""
         share = 100.0 * self.dropped / max(self.samples, 1)
         lost = f"stream to {self.to}: {self.dropped} of {self.samples} samples were dropped ({share:.1f} %)"
         return [lost] if self.dropped else []
@@ -426,8 +426,8 @@ class GapHistory(Strict):
 
     @classmethod
     def of(cls, rows: Sequence[GapRow], changes: Sequence[ModelChange], time_s: Callable[[int], float]) -> Self | None:
-        """Of at most `MOST_GAPS` pieces, the largest of each few of a longer run; None without one. Of the signal that
-        showed the first change, or that of the largest gap. `time_s`: of a cycle."""
+        """History of at most `MOST_GAPS` pieces, the largest of each few of a longer run; None without one: of the
+        signal that showed the first change, or that of the largest gap. `time_s`: of a cycle."""
         if not rows:
             return None
         shown = next((change.gap.signal for change in changes if change.gap is not None), None)
@@ -518,7 +518,7 @@ class Result(_WithOptions, JsonFile):
 
     @property
     def verdict(self) -> RunVerdict:
-        """In one word."""
+        """Verdict in one word."""
         source = self.faults[0].source if self.faults else None
         return verdict_of(source, judged=bool(self.criteria), passed=self.passed)
 

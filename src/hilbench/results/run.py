@@ -74,14 +74,15 @@ WRITING = "recording and result are written"
 
 @dataclass
 class RunOutcome:
-    """What a run left: its folder, its result, and the exit code it means."""
+    """Outcome of a run: its folder, its result, and the exit code it means."""
 
     folder: RunFolder
     result: Result
     exit_code: int
 
     def as_object(self) -> dict[str, Any]:
-        """For a program: folder, files, exit code, verdict and what was overridden, and all that result.json has."""
+        """Object for a program: folder, files, exit code, verdict and what was overridden, and all that result.json
+        has."""
         provenance = self.result.provenance
         return {
             "run": str(self.folder.path.resolve()),
@@ -93,18 +94,19 @@ class RunOutcome:
         }
 
     def as_json(self) -> str:
-        """The same as text. ASCII, whatever reads it: a character typed in another way is not the result any more."""
+        """`as_object` as JSON. ASCII, whatever reads it: a character encoded otherwise is not the result any more."""
         return json.dumps(self.as_object(), indent=2)
 
     def end_if_asked(self, held: HeldSignals) -> None:
-        """Tell by the exit code, unless it tells a fault, that a signal came while files were written."""
+        """Set the exit code of an interruption, unless it is that of a fault: a signal came while files were
+        written."""
         if held.asked is not None and self.exit_code != EXIT_BENCH_FAULT:
             self.exit_code = EXIT_INTERRUPTED
         held.asked = None
 
     @property
     def recorded(self) -> bool:
-        """Whether the run got as far as a recording; a report can be made only then."""
+        """True if the run got as far as a recording; a report can be made only then."""
         return self.folder.recording.exists()
 
 
@@ -112,7 +114,7 @@ class Streamed(CycleObserver, Protocol):
     """An observer that hands the samples on, and says how many."""
 
     def record(self) -> StreamRecord:
-        """Until now."""
+        """Record of the stream until now."""
 
 
 class Recorder:
@@ -131,11 +133,11 @@ class Recorder:
         self._builder.append_packed(self._row)
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """The same as a piece of a cycle."""
+        """Compiled stages that record a sample."""
         return Keeping(self._builder).pieces(sample)
 
     def recording(self, started: datetime, comment: str) -> Recording:
-        """What was kept so far."""
+        """Recording of what was kept so far."""
         return self._builder.build(started, comment)
 
     def keep_in(self, spool: Spool) -> None:
@@ -159,8 +161,8 @@ def run_experiment(
     A bench fault, an interruption, or an exception that nobody foresaw ends the run in the safe state; what was
     recorded until then is written, and the fault is in the result (the traceback in the run folder). Raises
     UnusableInputError before anything is started or written, for a bus that has another master, too (`force`: unless it
-    was only heard), BenchFaultError when the result can't be written. `beside`: copies of this process that were made
-    before (`startup.copies_beside`).
+    was only received), BenchFaultError when the result can't be written. `beside`: copies of this process that were
+    made before (`startup.copies_beside`).
     """
     config = loaded.config
     check_experiment(loaded)
@@ -197,7 +199,7 @@ def run_experiment(
 
 
 class RunRecord:
-    """What a run leaves behind: made before the bench, fed while it runs, finished after it.
+    """Record of a run: made before the bench, fed while it runs, finished after it.
 
     `trace` and `journal` are to be entered, or closed, by whoever runs the bench; one who keeps a `recorder` and what
     `happened` anyway shares them. Raises UnusableInputError when the
@@ -249,7 +251,7 @@ class RunRecord:
         self.recorder.keep_in(self._spool)
 
     def of(self, bench: Bench) -> None:
-        """Of this bench: it says when the disk takes no more; full rate is around its notices, too."""
+        """Attach to a bench: it warns when the disk takes no more; full rate is around its notices, too."""
         self._spool.warn, self.trace.warn = partial(bench.note, "recording"), partial(bench.note, "trace")
         self._spool.alarms = lambda: [notice.last_time_s for notice in bench.notices]
 
@@ -316,7 +318,7 @@ class RunRecord:
 
 
 class Ending:
-    """How a run ends: the exit code of what went wrong first, and all that did."""
+    """End of a run: the exit code of the first fault, and all faults."""
 
     def __init__(self, folder: RunFolder) -> None:
         self.exit_code = EXIT_PASSED
@@ -325,14 +327,14 @@ class Ending:
 
     @contextmanager
     def kept(self, source: str, time_s: Callable[[], float | None] = lambda: None) -> Iterator[None]:
-        """What goes wrong in here ends no more than this block, and is a fault of `source`."""
+        """Turn an exception of the block into a fault of `source`; it ends no more than the block."""
         try:
             yield
         except BaseException as error:
             self.add(error, source, time_s())
 
     def add(self, error: BaseException, source: str, time_s: float | None) -> None:
-        """What went wrong, and when."""
+        """Add an exception as a fault of `source`, at `time_s` of the experiment."""
         if isinstance(error, InterruptedByOperatorError | KeyboardInterrupt):
             when = "during start" if source == "bench" else "while the run was written"
             self._add(EXIT_INTERRUPTED, time_s, BY_OPERATOR, str(error) or f"interrupted {when}")

@@ -94,7 +94,7 @@ class RunFolder:
         return self.path / f"recording.rows{number}"
 
     def waiting_rows(self) -> list[Path]:
-        """Those that are there."""
+        """Row files that wait to be put into the recording."""
         return sorted(self.path.glob("recording.rows*"))
 
     def files(self) -> dict[str, Path]:

@@ -1,4 +1,4 @@
-"""The samples of a run on their way to disk.
+"""Spool of the samples of a run to disk.
 
 Rows go into blocks that are files mapped into memory, so that the end of the process (``kill -9``) costs none of them;
 a thread writes each full block into the recording as a piece of it. So memory does not grow, and the cycle waits for no
@@ -109,7 +109,7 @@ class Spool(RecordingBuilder):
             self._times.add(time_s)
 
     def build(self, start_time: datetime | None = None, comment: str = "") -> Recording:
-        """What was recorded so far, as it is read from the folder."""
+        """Build a recording of what was recorded so far, as it is read from the folder."""
         self._waiting.join()
         finished = self._folder.recording.exists()
         written = read_rows(self._folder.recording if finished else self._folder.unfinished_recording)
@@ -210,7 +210,7 @@ class Spool(RecordingBuilder):
 
 
 class _Times:
-    """When full rate is wanted."""
+    """Times at which full rate is wanted."""
 
     def __init__(self, cycle_time_s: float, names: Sequence[str]) -> None:
         self._stretch = max(round(STRETCH_S / cycle_time_s), 3)
@@ -238,7 +238,7 @@ def columns_of(rows: NDArray[np.float64], names: Sequence[str], whole: Sequence[
 
 
 def left_rows(folder: RunFolder, signals: Sequence[Signal], after_s: float) -> Iterator[dict[str, NDArray[Any]]]:
-    """What a run that was killed had in its blocks, of the samples after a time, in their order."""
+    """Rows that a killed run had in its blocks, of the samples after a time, in their order."""
     names, whole = [signal.name for signal in signals], [signal.integer for signal in signals]
     blocks = []
     for path in folder.waiting_rows():
@@ -272,7 +272,7 @@ def read_running(folder: RunFolder, signals: Sequence[Signal]) -> Recording:
 
 
 def _together(written: Recording, left: Sequence[Mapping[str, NDArray[Any]]]) -> Recording:
-    """What was read of a recording, and the samples behind that."""
+    """Join what was read of a recording and the samples behind that."""
     channels = {
         name: typed(name, np.concatenate([values, *(each[name] for each in left)]).astype(np.float64))
         for name, values in written.channels.items()

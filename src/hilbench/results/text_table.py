@@ -42,7 +42,7 @@ def open_text(path: Path, encoding: str = "utf-8-sig") -> IO[str]:
 
 
 def rest_of_text(path: Path, file: IO[str]) -> io.StringIO:
-    """What follows in a table as text. Raises UnusableInputError where it is more than can be read."""
+    """Rest of a table as text. Raises UnusableInputError where it is more than can be read."""
     text = file.read(_MOST_CHARACTERS + 1)
     if len(text) > _MOST_CHARACTERS:
         raise UnusableInputError(

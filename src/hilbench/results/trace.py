@@ -116,7 +116,7 @@ class TraceWriter:
         self._waiting += frames
 
     def head(self, can_id: int) -> str:
-        """What stands between time and data in the lines of an identifier."""
+        """Text between time and data in the lines of an identifier."""
         identifier = (
             f"{can_id & (_EXTENDED_MASK | ERROR_FLAG):08X}" if can_id & _LONG_FLAGS else f"{can_id & 0x7FF:03X}"
         )
@@ -146,7 +146,7 @@ class TraceWriter:
             self._end(f"the trace cannot be written ({error.strerror})")
 
     def _look(self) -> None:
-        """Whether all is well with the disk, and whether it is time for another file. Raises OSError."""
+        """Check the disk, and whether it is time for another file. Raises OSError."""
         if self._written >= self._keep:
             self._end(f"the trace has its {self._keep / 1e6:g} MB (trace: keep_MB)")
         elif self._written >= self._warn_at:

@@ -27,7 +27,7 @@ from hilbench.results.trace import TraceReader
 
 #: Of one container, at most; writers begin a new one at 128 kB.
 _MOST_BYTES: Final = 100_000_000
-#: Where the size of the file's header stands, and the head of an object: signature, size with the head, type.
+#: Offset of the size of the file's header, and the head of an object: signature, size with the head, type.
 _HEADER_SIZE: Final = struct.Struct("<4sL")
 _OBJECT: Final = struct.Struct("<4sHHLL")
 _CONTAINER: Final = 10
@@ -77,7 +77,7 @@ def _check(container: bytes, path: Path) -> None:
 
 
 def _ignore(_: str) -> None:
-    """For who tells nobody."""
+    """Ignore a note."""
 
 
 def trace_format(path: Path) -> str:
@@ -102,9 +102,9 @@ def _classical(message: can.Message, path: Path) -> can.Message:
 
 
 def read_messages(path: Path, note: Callable[[str], None] = _ignore) -> Iterator[can.Message]:
-    """All that a trace holds, with the times, channels and directions of the file.
+    """Read all messages of a trace, with the times, channels and directions of the file.
 
-    `note` gets what it does not tell, or can't be read of it. Raises UnusableInputError for what is no trace.
+    `note` gets what it does not contain, or can't be read of it. Raises UnusableInputError for what is no trace.
     """
     if trace_format(path) == ".log":
         return _of_candump(path, note)
@@ -228,14 +228,14 @@ def convert_trace(source: Path, target: Path, note: Callable[[str], None], *, al
 
 
 class _Channels:
-    """What a file calls the buses: by name, or by number from 0 as python-can counts."""
+    """Names of the buses in a file: by name, or by number from 0 as python-can counts."""
 
     def __init__(self, *, named: bool) -> None:
         self._named = named
         self._numbers: dict[str, int] = {}
 
     def renamed(self, messages: Iterator[can.Message]) -> Iterator[can.Message]:
-        """The same messages with what the file calls their buses."""
+        """Messages with the file's names of their buses."""
         for message in messages:
             name = message.channel if isinstance(message.channel, str) else f"can{message.channel or 0}"
             message.channel = name if self._named else self._number(name)
@@ -250,7 +250,7 @@ class _Channels:
         return self._numbers[name]
 
     def without_names(self) -> str:
-        """Which names are lost, in words; "": none."""
+        """Text about the names that are lost; "": none."""
         lost = [f"{name} is {number + 1}" for name, number in self._numbers.items() if name != f"can{number}"]
         return f"channels have numbers in it: {', '.join(lost)}" if lost else ""
 
@@ -284,7 +284,7 @@ def _candump_line(message: can.Message) -> str:
 
 
 def _is_of(written: can.Message, message: can.Message) -> bool:
-    """Whether it is what was written of this message."""
+    """True if `written` is what was written of `message`."""
     same = written.is_error_frame == message.is_error_frame and (
         message.is_error_frame or written.arbitration_id == message.arbitration_id
     )
@@ -301,7 +301,7 @@ def _kind(message: can.Message) -> str:
 
 
 def _parts(message: can.Message) -> dict[str, Any]:
-    """What a frame has, by what it is called."""
+    """Parts of a frame by their names."""
     if message.is_error_frame:
         what = {"error class": message.arbitration_id} if message.arbitration_id else {}  # only some formats say it
         return {"channel": message.channel, **what, **({"data": bytes(message.data)} if any(message.data) else {})}

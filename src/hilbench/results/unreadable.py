@@ -1,4 +1,4 @@
-"""What is said of a file that is no recording, and the most that a recording may unpack to."""
+"""Message about a file that is no recording, and the most that a recording may unpack to."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ BY_OPERATOR: Final = "operator"
 
 
 def verdict_of(first_fault: str | None, *, judged: bool, passed: bool | None) -> RunVerdict:
-    """By the source of the first fault, if any; of a file of before, too, whose `passed` is true where nothing was
+    """Verdict by the source of the first fault, if any; also of an older file, whose `passed` is true where nothing was
     judged."""
     if first_fault is not None:
         return "interrupted" if first_fault == BY_OPERATOR else "fault"

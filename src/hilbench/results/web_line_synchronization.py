@@ -124,7 +124,7 @@ def compare_methods(
 ) -> Comparison:
     """Run each method (by the name it is shown under) over the recording and score it.
 
-    `unmodelled_torque_Nm` as in `EstimationConfig`, whose default None stands for.
+    `unmodelled_torque_Nm` as in `EstimationConfig`; None: its default.
 
     The first second of a recording, while a twin settles, is not scored. Raises ValueError for a model without drives
     or of other than two rollers, and for a sampling period that is no multiple of the drives'.

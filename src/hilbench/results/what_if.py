@@ -1,5 +1,5 @@
-"""What would come if something were asked of a machine now: futures from a run's recording, or from what a run that
-still goes on has written."""
+"""Predictions of what would come if something were commanded of a machine now: futures from a run's recording, or from
+what a run that still goes on has written."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from hilbench.topology.sample import CycleSample
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked for: values by path, SI, reached within `over_s` (None: the machine's reference at the rate at
-    which the bench itself moves it, all else at once); how far and in how many futures to look; when (experiment time,
-    s; None: as late as possible)."""
+    """Question to a prediction: values by path, SI, reached within `over_s` (None: the machine's reference at the rate
+    at which the bench itself moves it, all else at once); how far and in how many futures to look; when (experiment
+    time, s; None: as late as possible)."""
 
     values: Mapping[str, float]
     over_s: float | None = None
@@ -43,7 +43,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Answer:
-    """The outlook with what was asked, and what was before, by path."""
+    """The outlook with the commanded values, and those before, by path."""
 
     outlook: Outlook
     moves: tuple[Move, ...]

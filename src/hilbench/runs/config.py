@@ -27,7 +27,7 @@ _MOST_KEYS = 50  # one below the other
 
 
 class RecordingConfig(Block):
-    """What of the samples is recorded."""
+    """Selection of the samples that are recorded."""
 
     full_rate: Literal["always", "around_events"] = Field(
         default="always",

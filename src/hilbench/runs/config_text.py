@@ -26,7 +26,7 @@ def json_schema() -> dict[str, Any]:
     names = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
     schema["properties"]["include"] = {
         **names,
-        "description": "config files that this one stands on, by their path from here",
+        "description": "config files that this one is based on, by their path from here",
     }
     complete = {"required": schema.pop("required")}
     for block in schema["$defs"].values():

@@ -109,7 +109,7 @@ class CriterionResult(Strict):
 
     @property
     def verdict(self) -> Verdict:
-        """In one word."""
+        """Verdict in one word."""
         if self.passed:
             return "marginal" if self.marginal else "passed"
         return "error" if self.value is None and not self.never else "failed"

@@ -1,4 +1,4 @@
-"""What the diagnosis beside a run found, as metrics that criteria can bound.
+"""Metrics from the findings of the diagnosis beside a run, which criteria can bound.
 
 ``found.EFFECT[.axisN|.spanN].FIGURE`` is a figure of the first time that the effect was found there (without a span:
 in whichever), ``gone.EFFECT[.axisN|.spanN].FIGURE`` of the first time that it was found to have gone again; a figure is

@@ -1,4 +1,4 @@
-"""What happened in a run: its steps (a quantity jumped), its ramps (it moved), and marks (the twin was lost, …).
+"""Events of a run: its steps (a quantity jumped), its ramps (it moved), and marks (the twin was lost, …).
 
 The journal of the bench says exactly what was set and when (`EventLog`). Where there is none, or where a quantity
 changed by itself (an effect that steps at a time of its own), the recorded signals show it (`signal_events`); slow
@@ -58,7 +58,7 @@ class Changed:
     after: float | None
 
     def __str__(self) -> str:
-        """For a table or the edge of a picture: ``E +20.7 %``, ``set-point 80 → 95 N``."""
+        """Text for a table or the edge of a picture: ``E +20.7 %``, ``set-point 80 → 95 N``."""
         known = find_quantity(self.path)
         if known is not None and known.emulated and self.before and self.after is not None:
             return f"{known.short} {100 * (self.after / self.before - 1):+.3g} %".replace("-", "−")
@@ -222,7 +222,7 @@ def signal_events(t_s: ArrayLike, values: ArrayLike, path: str) -> list[Event]:
 
 
 def _within_a_ramp(changes: Array, largest: float) -> list[int]:
-    """Which of the changes of a ramp are steps within it."""
+    """Changes of a ramp that are steps within it, by number."""
     if len(changes) <= _STEP_SAMPLES:
         return []
     sizes = np.abs(changes)

@@ -1,4 +1,4 @@
-"""What a run is judged by: the metrics of its kind of machine, of every step and of the whole run.
+"""Metrics of a run: those of its kind of machine, of every step and of the whole run.
 
 Arrays are one-dimensional, over one time base `t_s` (s, strictly increasing). Every step of every quantity is judged
 on its own (`judge`), from the moment it acts to the next step, ramp or end of a ramp. A run without a step is
@@ -69,7 +69,7 @@ METRICS: Final[Mapping[str, Metric]] = {
     for name, metric in machine.metrics.items()
 } | {**OF_RUNS, **estimated_errors.METRICS}
 
-#: Steps whose reasons are told in one line.
+#: Steps whose reasons are stated in one line.
 _MOST_REASONS: Final = 3
 
 

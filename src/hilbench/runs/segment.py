@@ -123,7 +123,7 @@ class Segment:
         return Figure(time_s)
 
     def height_of(self, quantity: MainQuantity) -> float:
-        """By how much the step changed a quantity: what the recording shows, where it does."""
+        """Height of the step of a quantity: by the recording, where it shows it."""
         assert self.event is not None, "only a step has a height"
         values = self._all.get(quantity.signal)
         if values is None:
@@ -165,10 +165,10 @@ class Metric:
 
 
 def after_a_step(segment: Segment) -> bool:
-    """For `Metric.judged`: not of a working window."""
+    """True for a step, not for a working window; for `Metric.judged`."""
     return segment.event is not None
 
 
 def after_a_step_of(quantity: MainQuantity) -> Callable[[Segment], bool]:
-    """For `Metric.judged`: only where this quantity stepped."""
+    """Condition for `Metric.judged`: this quantity stepped."""
     return lambda segment: segment.is_step_of(quantity)

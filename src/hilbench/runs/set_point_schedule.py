@@ -22,8 +22,8 @@ _LOAD_EFFECT = "load.effects."
 
 @dataclass(frozen=True)
 class State:
-    """What has been asked for, from `time_s` of the experiment on. `values`: by path (`bench.quantities`);
-    `effects`: those of the emulated web that stand in the config beside the ones that a path changes."""
+    """Set points from `time_s` of the experiment on. `values`: by path (`topology.quantities`);
+    `effects`: those of the emulated web in the config, beside the ones that a path changes."""
 
     time_s: float
     place: Location  #: of the step in the config

@@ -12,9 +12,9 @@ from hilbench.runs.reach import GENTLE, HOLD_S, OF_LIMIT, SLOW, STEEP, Reach, hi
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.web_line_quantities import tension_set_point
 
-#: The second tension over the first, and the least that tells one from the other.
+#: The second tension over the first, and the least that distinguishes them.
 _SECOND, _LEAST_SECOND = 1.25, 1.1
-#: A turn of each roller at the slow level has to fit into its hold: below that speed nothing is told of a turn.
+#: A turn of each roller at the slow level has to fit into its hold: below that speed nothing is known of a turn.
 _LEAST_TURNS: Final = 0.25
 
 

@@ -44,7 +44,7 @@ else:
 
 
 class BusConfig(Block):
-    """Which bus: `embedded`, or any python-can interface and channel such as `socketcan:vcan0`."""
+    """Address of the bus: `embedded`, or any python-can interface and channel such as `socketcan:vcan0`."""
 
     address: str = Field(
         default="embedded",
@@ -148,12 +148,12 @@ class LoadConfig(Block):
 
     @field_validator("effects")
     @classmethod
-    def _imitable(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
+    def _emulable(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
         return _possible_effects(entries, EffectPlace.LOAD)
 
 
 class CoresConfig(Block):
-    """Which core each process is pinned to; null: none."""
+    """Core that each process is pinned to; null: none."""
 
     bench: int | None = Field(default=None, ge=0, le=4095, description="the bench's cyclic loop")
     hardware: int | None = Field(default=None, ge=0, le=4095, description="the simulated hardware")

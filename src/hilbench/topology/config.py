@@ -242,7 +242,8 @@ class BenchConfig(Block):
         )
 
     def emulated_shaft(self) -> ServoAxisParameters:
-        """The truth of a run: the servo axis without the model's effects, with what `load:` changes and hides.
+        """Servo axis that the load motor emulates: the model's, with the changes and effects of `load:` in place of its
+        own.
 
         Raises ValueError for less inertia than the motor's rotor has.
         """

@@ -117,7 +117,7 @@ class Part:
 
     @property
     def node_axis(self) -> int:
-        """Which one it is of the axes of its node, from 1."""
+        """Number of its axis in its node, from 1."""
         return self.node.axis if isinstance(self.node, DeviceConfig) else 1
 
     @property

@@ -9,7 +9,7 @@ spans a set-point has the number of its span: `tension_control.span2.set_point_N
 those of all spans, or with its number of one: `load.web.span2.youngs_modulus_Pa`,
 `load.effects.elasticity_drift.span2.rate_per_s`. A dancer or accumulator with a loop of its position has
 `position_control.NAME.set_point_m` and `position_control.NAME.feed` (1: the axis before it feeds the line, 0: it
-stands), with a force that is told ahead `position_control.NAME.force.set_point_N`. Of a servo axis: `speed_rad_s`,
+is at rest), with a force that is fed forward `position_control.NAME.force.set_point_N`. Of a servo axis: `speed_rad_s`,
 `load.shaft.inertia_kg_m2`, `load.shaft.coulomb_friction_Nm`, `load.shaft.viscous_friction_Nm_s_per_rad`.
 
 The ranges here are those of values with a meaning, whatever the config. What an operator may ask for of a running
@@ -95,7 +95,7 @@ _OF_POSITIONS = {
     FEED: Permitted(0.0, 1.0, "1", only_ends=True),
     FORCE_SET_POINT: Permitted(0.0, 1e5, "N"),
 }
-#: So many quantities are told that are like a misspelt one.
+#: Number of quantities that are suggested for a misspelt one.
 _MOST_NEAR = 3
 _PART = re.compile(r"([a-z]+)([1-9]\d{0,3})")
 

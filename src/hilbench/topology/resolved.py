@@ -15,8 +15,8 @@ _known: list[BenchConfig] = []
 
 
 def remember(config: BenchConfig) -> None:
-    """For a copy of the process of a bench: what the bench writes into the file is this config. To read it from there
-    takes longer than all else that a process does before it is there."""
+    """Keep the config of the bench for a forked process. To read it from the file that the bench writes takes longer
+    than all else that a process does before it is there."""
     _known[:] = [config]
 
 

@@ -1,6 +1,6 @@
 """One cycle of a running bench, as the bench, its observers and conditions see it.
 
-A sample stands in memory as its signals do one behind the other, each in eight bytes: compiled functions read and write
+A sample is its signals in memory, one behind the other, each in eight bytes: compiled functions read and write
 it as a vector, everybody else by the names of the signals.
 """
 
@@ -65,7 +65,7 @@ class PlacesIn:
         self._places = np.zeros(0, np.int64)
 
     def of(self, sample: CycleSample) -> NDArray[np.int64]:
-        """In this one. Raises AttributeError for a signal that it does not have."""
+        """Places in this sample. Raises AttributeError for a signal that it does not have."""
         if sample is not self._sample:
             self._places, self._sample = type(sample).places(self._signals), sample
         return self._places

@@ -67,7 +67,7 @@ def boundary(machine: Any, shape: Shape) -> Mapping[str, float]:
 
 
 def shape(config: BenchConfig) -> Shape:
-    """As many axes as the machine has."""
+    """Shape of the bench: as many axes as the machine has."""
     return Shape(config.machine.axis_count, tuple(config.load_motors))
 
 

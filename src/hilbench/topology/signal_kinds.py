@@ -16,13 +16,13 @@ class Per(StrEnum):
     SPAN = "span"
     ESTIMATED = "estimated"  #: a span at which the twin estimates something
     CONTROLLED = "controlled"  #: a span whose tension a controller keeps
-    SIMULATED = "simulated"  #: a span whose tension the twin tells
+    SIMULATED = "simulated"  #: a span whose tension the twin reports
     CARRIAGE = "carriage"  #: of a dancer or accumulator
     REEL = "reel"
     MEASURED_CARRIAGE = "measured_carriage"  #: one with a sensor of its position
     MEASURED_REEL = "measured_reel"  #: one with a sensor of its radius
     POSITIONED_CARRIAGE = "positioned_carriage"  #: one with a loop of its position
-    PUSHED_CARRIAGE = "pushed_carriage"  #: one whose force is told ahead
+    PUSHED_CARRIAGE = "pushed_carriage"  #: one whose force is fed forward
     TORQUED_AXIS = "torqued_axis"  #: a reel in torque mode
     CELL = "cell"  #: an idler that is a load cell
     WINDER = "winder"  #: a reel as the last axis of a line

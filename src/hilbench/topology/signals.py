@@ -1,8 +1,8 @@
 """The one registry of signals: each is declared once, by the kind of part that has it, and instantiated per part.
 
-What a recording, a condition, a limit, a report or the monitor knows of a signal (name, unit, meaning, group) stands
+What a recording, a condition, a limit, a report or the monitor knows of a signal (name, unit, meaning, group) is
 here. Names are those of the design (files: recording): a name carries its unit; the number of the axis or span, or the
-name of the load motor, stands in it where the declaration has ``{axis}``, ``{span}`` or ``{load_motor}``. The number of
+name of the load motor, is in it where the declaration has ``{axis}``, ``{span}`` or ``{load_motor}``. The number of
 a span is left out where there is only one.
 """
 
@@ -22,13 +22,14 @@ from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """What a bench has several of: driven axes, spans, load motors by name, and which spans are estimated and
+    """Parts of a bench by their number: driven axes, spans, load motors by name, and which spans are estimated and
     controlled, by their numbers from 1.
 
     Of a line with more than driven rollers: the number of the driven axis before each span, the spans whose tension the
-    twin tells, dancers, accumulators and reels by name, which of these have a sensor of their position or radius, which
-    carriages have a loop of their position, which of these a force that is told ahead, which axes are reels in torque
-    mode, the idlers that are load cells, and whether the last axis is a reel, whose speed is not that of the line.
+    twin reports, dancers, accumulators and reels by name, which of these have a sensor of their position or radius,
+    which carriages have a loop of their position, which of these a force that is fed forward, which axes are reels in
+    torque mode, the idlers that are load cells, and whether the last axis is a reel, whose speed is not that of the
+    line.
     """
 
     axes: int
@@ -217,7 +218,7 @@ def shape_of(names: Iterable[str]) -> Shape:
 
 
 def kind_of(names: Iterable[str]) -> str:
-    """Which kind of machine has most of the signals with these names, the first of them where several have."""
+    """Kind of machine that has most of the signals with these names, the first of them where several have."""
     given = list(names)
     return max(recorded("topology"), key=lambda kind: sum(_has(kind, name) for name in given))
 

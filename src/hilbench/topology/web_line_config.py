@@ -37,7 +37,7 @@ ProbingMode = Literal["off", "ask", "on"]
 
 
 class ProbingConfig(Block):
-    """Small known changes of the tension set-point that tell E from friction and from an offset of the torque."""
+    """Small known changes of the tension set-point that separate E from friction and from an offset of the torque."""
 
     mode: ProbingMode = Field(
         default="off",
@@ -99,7 +99,7 @@ class TensionControlConfig(Block):
 
 
 class CarriageForceConfig(Block):
-    """The force on the carriage of a dancer or accumulator, told ahead to a valve that sets the pressure: what keeps
+    """The force on the carriage of a dancer or accumulator, fed forward to a valve that sets the pressure: what keeps
     the tension, with what carriage and rollers need to speed up, and their friction, by the machine's model."""
 
     set_point_N: PositiveFloat | None = Field(
@@ -250,7 +250,7 @@ def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterat
         return
     unknown = "'web_at_rest: unknown'" if twin.web_at_rest == "unknown" else ""
     methods = twin.by_span(machine.span_count)
-    yield from filter(None, [_untold_misfit(unknown, methods, machine.span_count)])
+    yield from filter(None, [_unestimated_misfit(unknown, methods, machine.span_count)])
     corrects_input = any(isinstance(estimate, InputConfig) for estimate in methods.values())
     if corrects_input and twin.splices:
         yield "another method than 'input' where 'splices' are looked for: it corrects no E"
@@ -283,13 +283,15 @@ def rest_misfit(
             )
         return None
     asked = any(control.probes.at_rest_mm for control in loops_of(TensionControlConfig, controllers))
-    return _untold_misfit("'at_rest_mm'" if asked else "", twin.by_span(machine.span_count), machine.span_count)
+    return _unestimated_misfit("'at_rest_mm'" if asked else "", twin.by_span(machine.span_count), machine.span_count)
 
 
-def _untold_misfit(key: str, estimated: Collection[int], count: int) -> str | None:
+def _unestimated_misfit(key: str, estimated: Collection[int], count: int) -> str | None:
     """Reason why unknown webs are not identifiable, where a key ("": none) asks for that."""
-    untold = [span for span in range(1, count + 1) if span not in estimated]
-    return f"'twin: {{estimate: …}}' at every span with {key}, not without span {untold[0]}" if key and untold else None
+    without = [span for span in range(1, count + 1) if span not in estimated]
+    if not key or not without:
+        return None
+    return f"'twin: {{estimate: …}}' at every span with {key}, not without span {without[0]}"
 
 
 def line_misfits(

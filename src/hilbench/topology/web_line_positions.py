@@ -2,7 +2,7 @@
 
 `position_control.store.set_point_m` is where the carriage of `store` is to stand; `position_control.store.feed` is 1
 while the axis before it feeds the line by the loop, 0 for it to stand, as a reel that is changed, while the
-accumulator feeds the line. Where the force on the carriage is told ahead `position_control.store.force.set_point_N` is
+accumulator feeds the line. Where the force on the carriage is fed forward `position_control.store.force.set_point_N` is
 the tension behind it that the force is to keep.
 """
 
@@ -24,12 +24,12 @@ def position_path(station: str, quantity: str) -> str:
 
 
 def position_quantity(path: str) -> str:
-    """Which quantity of a position loop a path names; "" for another path."""
+    """Quantity of a position loop that a path names; "" for another path."""
     found = _PATH.fullmatch(path)
     return found[2] if found else ""
 
 
 def positions(stations: tuple[str, ...], pushed: tuple[str, ...]) -> list[str]:
-    """The paths of the loops of these stations; `pushed`: those of them whose force is told ahead."""
+    """The paths of the loops of these stations; `pushed`: those of them whose force is fed forward."""
     paths = [position_path(station, quantity) for station in stations for quantity in (SET_POINT, FEED)]
     return [*paths, *(position_path(station, FORCE_SET_POINT) for station in pushed)]

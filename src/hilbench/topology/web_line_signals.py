@@ -19,7 +19,7 @@ LINE_SPEED_SIGNAL: Final = "line_speed_cmd_m_s"
 
 WEB_LINE: Final = (
     *TIME_SIGNALS,
-    SignalKind(LINE_SPEED_SIGNAL, "m/s", "speed of the web that the rewinder is told", "command", Per.WINDER),
+    SignalKind(LINE_SPEED_SIGNAL, "m/s", "commanded speed of the web at the rewinder", "command", Per.WINDER),
     *axes_signals("m", ", at the web", "roller {axis}: encoder times nominal radius"),
     SignalKind(
         "tau{axis}_cmd_Nm",
@@ -37,7 +37,7 @@ WEB_LINE: Final = (
     SignalKind(
         "f_{carriage}_cmd_N",
         "N",
-        "force on the carriage of {carriage} that its cylinder is told",
+        "commanded force of the cylinder on the carriage of {carriage}",
         "command",
         Per.PUSHED_CARRIAGE,
     ),
@@ -101,21 +101,21 @@ WEB_LINE: Final = (
     SignalKind(
         "x_{carriage}_meas_m",
         "m",
-        "position of the carriage of {carriage}, as its emulated sensor tells it",
+        "position of the carriage of {carriage}, by its emulated sensor",
         "measured",
         Per.MEASURED_CARRIAGE,
     ),
     SignalKind(
         "r_{reel}_meas_m",
         "m",
-        "radius of the reel {reel}, as its emulated sensor tells it",
+        "radius of the reel {reel}, by its emulated sensor",
         "measured",
         Per.MEASURED_REEL,
     ),
     SignalKind(
         "F_{cell}_meas_N",
         "N",
-        "web tension at {cell}, the mean of those beside it, as its emulated load cell tells it",
+        "web tension at {cell}, the mean of those beside it, by its emulated load cell",
         "measured",
         Per.CELL,
     ),

@@ -255,9 +255,9 @@ class ModelSwitcher:
             self._synchronized_cycles = self._synchronized_cycles + 1 if candidate.synchronized else 0
             return
         self._cycles_over += 1
-        way = self._cycles_over * self._cycle_s / HAND_OVER_S
-        if way < 1.0:
-            self._share = way * way * (3.0 - 2.0 * way)
+        passed = self._cycles_over * self._cycle_s / HAND_OVER_S
+        if passed < 1.0:
+            self._share = passed * passed * (3.0 - 2.0 * passed)
             return
         self._take_over(candidate)
 

@@ -386,8 +386,8 @@ class TwinApplication:
         time: an axis may be driven externally."""
         travels = [now - then for (then, _), (now, _) in zip(before, measured, strict=True)]
         brakes = any(
-            port.mode is MotorMode.VELOCITY and port.setpoint == 0.0 and abs(way) > _MOVES_RAD_S * self.cycle_s
-            for port, way in zip(self._ports, travels, strict=True)
+            port.mode is MotorMode.VELOCITY and port.setpoint == 0.0 and abs(travel) > _MOVES_RAD_S * self.cycle_s
+            for port, travel in zip(self._ports, travels, strict=True)
         )
         self._waited_s = self._waited_s + self.cycle_s if brakes else 0.0
         return brakes and self._waited_s <= _LONGEST_WAIT_S

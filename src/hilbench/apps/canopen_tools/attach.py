@@ -1,4 +1,4 @@
-"""Which bus and which node a command means that attaches to what runs already, and whether it may write there."""
+"""Bus and node of a command that attaches to what runs already, and whether it may write there."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class BusSession(ExitStack):
     def known(
         self, node_id: int, name: str, od: ObjectDictionary, timeout_s: float = SDO_TIMEOUT_S
     ) -> tuple[Master, int, str, ObjectDictionary]:
-        """The same for a node whose description is known."""
+        """Master of a node whose object dictionary is known."""
         master = Master(open_python_can(self.bus), timeout_s)
         self.callback(master.close)
         master.add(node_id, od, name)
@@ -69,7 +69,7 @@ class BusSession(ExitStack):
 def only_master(
     bus: BusAddress, config: ExperimentConfig | None, what: str, *, force: bool
 ) -> AbstractContextManager[None]:
-    """To write onto a bus: as its only master, or beside one because a person insists.
+    """Guard of writes onto a bus: as its only master, or beside another because a person insists.
 
     Entering raises UnusableInputError, which says who is there.
     """
@@ -100,7 +100,7 @@ def node_on_bus(
 def node_and_eds(
     node: str, config: ExperimentConfig | None, bus: BusAddress, eds: Path
 ) -> tuple[int, str, ObjectDictionary | None]:
-    """The same, with no object dictionary where no EDS file is known for the device."""
+    """Node with its EDS file; no object dictionary where none is known for the device."""
     parts = () if config is None else config.parts
     for part in parts:
         if node in (part.name, str(part.node.node_id)):
@@ -138,5 +138,5 @@ def left_out(error: UnusableInputError) -> None:
 
 
 def is_the_bench(node: str, config: ExperimentConfig | None) -> bool:
-    """Whether NODE is the bench itself, whose objects are there for an operator to write."""
+    """True if NODE is the bench itself, whose objects are there for an operator to write."""
     return config is not None and node in ("bench", str(config.master.node_id))

@@ -26,7 +26,7 @@ _NODE_IDS = range(1, LAST_NODE + 1)
 
 @dataclass(frozen=True)
 class Station:
-    """A node as it shows itself; None: it does not tell, or was not asked."""
+    """A node as it identifies itself; None: it does not, or was not requested to."""
 
     node_id: int
     nmt_state: str | None = None  #: from its heartbeat
@@ -43,11 +43,11 @@ class Station:
 
 @dataclass(frozen=True)
 class Scan:
-    """Nodes on a bus. While another master is at work none was asked; `master` gives the evidence."""
+    """Nodes on a bus. While another master is active none was requested; `master` gives the evidence."""
 
     stations: list[Station]
     master: str | None = None
-    waited_s: float = 0.0  #: for answers of sixteen nodes at a time; 0: nobody was asked
+    waited_s: float = 0.0  #: for answers of sixteen nodes at a time; 0: none was requested
 
     @property
     def master_at_work(self) -> bool:

@@ -44,7 +44,7 @@ _TURN_RAD = 2.0 * pi
 
 
 class Action(StrEnum):
-    """What is done."""
+    """Action of the drive."""
 
     ENABLE = "enable"
     DISABLE = "disable"
@@ -159,7 +159,7 @@ def drive(
         end_if_requested, next_s = on.enter_context(end_requests()), 0.0
 
         def alive() -> None:
-            """Send this program's heartbeat when it is due. Raises KeyboardInterrupt once it is asked to end."""
+            """Send this program's heartbeat when it is due. Raises KeyboardInterrupt once its end is requested."""
             nonlocal next_s
             end_if_requested()
             if time.monotonic() >= next_s:
@@ -200,7 +200,7 @@ def _method(value: str | None) -> int | None:
 def _units(
     master: Master, node_id: int, od: ObjectDictionary, given: Mapping[str, float], name: str, axis: int
 ) -> tuple[DriveUnits | None, str]:
-    """As far as they are told, and which object does not tell them: without a rated torque (6076h) a torque is no
+    """Units as far as they are known, and the object that lacks them: without a rated torque (6076h) a torque is no
     number."""
     from hilbench.cia402.configuration import read_units
 
@@ -214,7 +214,7 @@ def _units(
 
 
 def _given_units(texts: Sequence[str]) -> dict[str, float]:
-    """Of --units. Raises UnusableInputError."""
+    """Units of --units. Raises UnusableInputError."""
     expected = "position_rad, velocity_rad_s or rated_torque_Nm, and a number above 0: velocity_rad_s=0.10472"
     found = dict(key_and_number("--units", text, expected) for text in texts)
     for key, number in found.items():
@@ -239,7 +239,7 @@ def _allowed(bench: ExperimentConfig | None) -> Limits:
 def _motion(
     by_hand: SetUpDrive, action: Action, value: str | None, speed_rad_s: float, relative: bool, duration_s: float
 ) -> Callable[[], object]:
-    """What was asked for, of a drive that can do it. Raises UnusableInputError."""
+    """Commanded action, of a drive that can do it. Raises UnusableInputError."""
     from hilbench.cia402.objects import OperationMode
 
     modes = {Action.MOVE: OperationMode.PROFILE_POSITION, Action.HOME: OperationMode.HOMING}
@@ -345,7 +345,7 @@ def _print(by_hand: SetUpDrive, *, as_json: bool) -> None:
 
 
 def _actual_values(status: DriveStatus) -> Iterator[str]:
-    """In SI, and as the drive says them."""
+    """Actual values in SI, and in the drive's units."""
     for value, units, name in (
         (status.position_rad, status.position_units, "rad"),
         (status.velocity_rad_s, status.velocity_units, "rad/s"),

@@ -1,4 +1,4 @@
-"""Which EDS file is a device's: by vendor-ID and product code (1018h)."""
+"""EDS file of a device by vendor-ID and product code (1018h)."""
 
 from __future__ import annotations
 
@@ -76,6 +76,6 @@ def find_eds(
 
 
 def read_identity(reader: SdoClient, node_id: int) -> tuple[int | None, ...]:
-    """Vendor-ID, product code, revision and serial number (1018h:1 to 4); None for what it does not tell."""
+    """Vendor-ID, product code, revision and serial number (1018h:1 to 4); None for what it does not have."""
     answers = (reader.read(node_id, 0x1018, sub) for sub in (1, 2, 3, 4))
     return tuple(int.from_bytes(answer, "little") if isinstance(answer, bytes) else None for answer in answers)

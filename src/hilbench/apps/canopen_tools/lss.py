@@ -154,7 +154,7 @@ def _identity(text: str) -> Identity:
 
 
 def words(identity: Identity) -> str:
-    """Who it is, for a person."""
+    """Identity of a device, for a person."""
     return (
         f"device {identity.vendor_id:X}h/{identity.product_code:X}h revision {identity.revision_number:X}h, "
         f"serial number {identity.serial_number}"

@@ -150,7 +150,7 @@ class _Object:
 
 @dataclass(frozen=True)
 class _UnknownObject:
-    """An object of which no EDS file tells."""
+    """An object that is in no EDS file."""
 
     reader: SdoClient
     node_id: int
@@ -242,7 +242,7 @@ def _variable(od: Any, name: str) -> ODVariable:
 
 
 def _is_number(text: str) -> bool:
-    """Also with an exponent, which is no unit."""
+    """True for a number, also with an exponent, which is no unit."""
     try:
         float(text)
     except ValueError:
@@ -251,7 +251,7 @@ def _is_number(text: str) -> bool:
 
 
 def _looks_like(data: bytes) -> dict[str, int | float | str]:
-    """What bytes of an unknown type could be: integers of their length, a floating-point number, text."""
+    """Possible values of bytes of an unknown type: integers of their length, a floating-point number, text."""
     found: dict[str, int | float | str] = {}
     if 1 <= len(data) <= _LONGEST_INTEGER:
         found["unsigned"] = int.from_bytes(data, "little")

@@ -1,4 +1,4 @@
-"""What is said of a recording's columns that nobody uses, on standard error."""
+"""Notes on standard error about columns of a recording that are not used."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ _OWN: Final = (
 
 
 class Commands(TyperGroup):
-    """The commands; what typer itself would end with exit code 1 is told as what it is."""
+    """The commands; an error that typer itself would end with exit code 1 is reported as unusable input."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command. An operating system's refusal is an error like others, whoever's pipe has broken."""
@@ -42,7 +42,7 @@ class _RefusedError(HilbenchError):
 
 
 def commands_named(name: str) -> Iterator[tuple[str, Any]]:
-    """The command of this name, or where there is none all of them, with their names; other packages are asked only
+    """The command of this name, or where there is none all of them, with their names; other packages are searched only
     for a name that is not hilbench's. Those of other packages that can't be loaded are left out with a line each.
 
     Raises UnusableInputError for a command that is named, and for hilbench's own, when they can't be loaded.

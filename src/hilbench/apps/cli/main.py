@@ -55,7 +55,8 @@ def command_line(name: str = "") -> typer.Typer:
 
 @cache
 def _command(name: str) -> Callable[[], object]:
-    """As callable, once in a process: commands are made from their signatures, which takes longer than many of them."""
+    """Command as a callable, once in a process: commands are made from their signatures, which takes longer than
+    many."""
     return _with_flowing_help(typer.main.get_command(command_line(name)))
 
 

@@ -20,7 +20,7 @@ def any_model_from(path: Path) -> Machine:
 
 
 def model_from(path: Path) -> Machine:
-    """The same for what knows no idlers, dancers, accumulators or reels. Raises UnusableInputError."""
+    """Model for commands without support of idlers, dancers, accumulators or reels. Raises UnusableInputError."""
     machine = any_model_from(path)
     if isinstance(machine, ModelParameters) and machine.stations is not None:
         found = "a line with idlers, dancers, accumulators or reels"

@@ -50,7 +50,7 @@ RunArgument = Annotated[Path, Argument(metavar="RUN", help="run folder")]
 
 
 def key_and_number(option: str, text: str, expected: str) -> tuple[str, float]:
-    """What ``KEY=NUMBER`` says. Raises UnusableInputError for another text, or a number that is not finite."""
+    """Key and number of ``KEY=NUMBER``. Raises UnusableInputError for another text, or a number that is not finite."""
     key, _, number = text.partition("=")
     with suppress(ValueError):
         if key.strip() and isfinite(value := float(number)):

@@ -1,4 +1,4 @@
-"""What a long command is doing: a bar on a terminal, a line for each new thing elsewhere (in the log of a CI)."""
+"""Progress of a long command: a bar on a terminal, a line for each new thing elsewhere (in the log of a CI)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class ProgressDisplay:
             self._console.print(f"{time.monotonic() - self._started_s:6.1f} s  {text}", soft_wrap=True)
 
     def of_run(self, what: str, share: float) -> tuple[_RunProgress, Callable[[str], None]]:
-        """For a run of the bench: its observer, and what it tells of itself."""
+        """Observer of a run of the bench, and receiver of its announcements."""
         self.announce(what, share)
         return _RunProgress(self, what, share), lambda text: self.announce(f"{what}: {text}", share)
 

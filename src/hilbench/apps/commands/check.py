@@ -54,7 +54,7 @@ def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
 
 
 def _fits(option: BusOption) -> str:
-    """What a way to lay the wires fits, as a line."""
+    """Bus load of a wiring layout, as a line."""
     loads = " and ".join(f"{bits:.0f}" for bits in option.bits)
     where = f"on {option.layout}" + ("" if option.usable else " (a bench can't use that yet)")
     return (
@@ -64,7 +64,7 @@ def _fits(option: BusOption) -> str:
 
 
 def _over(slots: list[Slot]) -> str:
-    """When answers and set points of a cycle are over, and which would be late in real time, as a line."""
+    """End of answers and set points in a cycle, and those that would be late in real time, as a line."""
     parts = []
     for is_set_point, what in ((False, "answers"), (True, "set points")):
         which = [slot for slot in slots if slot.is_set_point == is_set_point]

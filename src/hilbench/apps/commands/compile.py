@@ -68,7 +68,7 @@ def end_with_parent() -> None:
 
 
 def _compile_modules(modules: list[str]) -> list[int]:
-    """Of each entry point, whether it had to be compiled (1) or was found (0)."""
+    """Compile modules; 1 for each entry point that had to be compiled, 0 for one that was found."""
     from hilbench.compiled import entry_points
 
     compiled = []

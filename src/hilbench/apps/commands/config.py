@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Help with config files: JSON Schema for editors, a new config.", no_args_is_help=True)
 
-#: What nobody is asked for, by kind of machine.
+#: Defaults without a question, by kind of machine.
 _GIVEN = Path(__file__).with_name("new_benches")
 #: A question, the place of its answer, what is suggested.
 Question = tuple[str, Place, Suggested]
 
-#: What is asked of every bench: question, place in the config, what is suggested.
+#: Questions for every bench: text, place in the config, what is suggested.
 _QUESTIONS: tuple[Question, ...] = (
     ("name of the bench", ("name",), "my_bench"),
     ("bus (embedded: of the folder; embedded:NAME, socketcan:can0, …)", ("bus", "address"), "embedded"),

@@ -55,14 +55,14 @@ class Target:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of it; `problem`: why it cannot be relied on."""
+    """Outcome of an emergency stop; `problem`: why it cannot be relied on."""
 
     target: Target
     problem: str = ""
 
     @property
     def text(self) -> str:
-        """For a person."""
+        """Text for a person."""
         place, who = self.target.place, self.target.who
         there = f" ({who})" if who else ""
         return f"{self.problem}{there}" if self.problem else f"{place}: emergency stop sent{there}"
@@ -125,7 +125,7 @@ def everything() -> tuple[list[Target], bool]:
 
 
 def _holders_and_bus() -> tuple[list[Holder], bool]:
-    """Who says where he is; what else is found is stopped, too, where that can't be asked."""
+    """Holders of all buses, and True; where they cannot be read, none and False."""
     try:
         return claims.holders(_ANSWERS_WITHIN_S), True
     except BusError as error:

@@ -49,13 +49,13 @@ def kind_of(config: BenchConfig) -> str:
 
 
 def needed(kind: str) -> list[Function]:
-    """What a run of a kind calls, what takes longest first."""
+    """Compiled functions that a run of a kind calls, those that take longest first."""
     return [Function(module, name) for module, name in loads(_LIST.read_text(encoding="utf-8"))[kind]]
 
 
 def missing(config: BenchConfig) -> list[Function]:
-    """What a run of this config calls and of which no machine code is kept; nothing where none could be kept: then each
-    process of the run compiles what it calls."""
+    """Functions that a run of this config calls and that have no machine code on disk; none where none could be kept:
+    each process of the run compiles what it calls."""
     functions = needed(kind_of(config))
     kept = [is_kept(each.source, each.name) for each in functions]
     return [] if None in kept else [each for each, there in zip(functions, kept, strict=True) if not there]
@@ -87,7 +87,7 @@ def compile_on_all_cores(functions: list[Function], announce: Callable[[str, flo
 
 
 def _chains(functions: list[Function]) -> list[list[Function]]:
-    """What one process compiles after the other, because it calls the same functions, which a process compiles once:
+    """Functions for one process each, because they call the same functions, which a process compiles once:
     the functions of a room, small ones first; the room with most of them to compile comes first."""
     chains: dict[str, list[Function]] = {}
     for each in functions:

@@ -1,4 +1,4 @@
-"""What `hilbench config new` asks for, and gives, by kind of machine; what nobody is asked for is in `new_benches`."""
+"""Questions of `hilbench config new` and its answers, by kind of machine; the rest of a config is in `new_benches`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Final
 
 #: A key of the config, from its root.
 Place = tuple[str | int, ...]
-#: Gives the answer that stands at a place.
+#: Gives the answer at a place.
 Answers = Callable[[Place], Any]
 #: What is suggested: a value, or how it follows from the answers before.
 Suggested = Any | Callable[[Answers], float]

@@ -1,4 +1,4 @@
-"""What `hilbench config new` asks for, and gives, of a web line: the demonstrator, and what scales with it."""
+"""Questions of `hilbench config new` for a web line, and its answers: the demonstrator, and what scales with it."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ _KP, _KI = 1.5, 30.0
 
 
 def _roller_inertia(answers: Answers) -> float:
-    """Of a tube with the wall of the demonstrator's, kg·m²: mass goes with radius and width, inertia with r² of it."""
+    """Inertia of a tube with the wall of the demonstrator's, kg·m²: mass goes with radius and width, inertia with r² of
+    it."""
     return rounded(_J * (answers(_RADIUS) / _r) ** 3 * answers(_WIDTH) / _b)
 
 
 def _gear_ratio(answers: Answers) -> float:
-    """With which the motor turns as fast at line speed as the demonstrator's."""
+    """Gear ratio with which the motor turns as fast at line speed as the demonstrator's."""
     return rounded(_i * (answers(_RADIUS) / _r) * (_v / max(1e-3, answers(_SPEED))))
 
 
@@ -40,12 +41,12 @@ def _inertia_at_motor(answers: Answers) -> float:
 
 
 def _torque(F: float, r: float, i: float, J_at_motor: float, v: float) -> float:
-    """At the motor, N·m: all of the tension, and the ramp."""
+    """Torque at the motor, N·m: all of the tension, and the ramp."""
     return F * r / i + J_at_motor * (i / r) * v / _RAMP_S
 
 
 def _torque_limit(answers: Answers) -> float:
-    """With the demonstrator's reserve, N·m."""
+    """Torque limit with the demonstrator's reserve, N·m."""
     radius, gear, speed = answers(_RADIUS), answers(_GEAR), answers(_SPEED)
     asked = _torque(answers(_TENSION), radius, gear, _inertia_at_motor(answers), speed)
     return rounded(_limit * asked / _torque(_F, _r, _i, _at_motor(_J, _i, _J_motor), _v))

@@ -102,7 +102,7 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Found:
-    """What the twin of a kind of machine makes of a recording."""
+    """Estimates of a recording by the twin of a kind of machine."""
 
     method: str
     signals: dict[str, Any]  #: channels (n,) by name

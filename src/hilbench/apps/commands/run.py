@@ -221,7 +221,7 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
 
 
 def _show_criteria(console: Console, result: Result) -> None:
-    """Of a run that ended early, what nobody could judge is one line."""
+    """Show the criteria; of a run that ended early, those without a verdict are one line."""
     left_out = [row for row in result.criteria if result.faults and row.value is None and not row.never]
     rows = [row for row in result.criteria if row not in left_out]
     if rows:

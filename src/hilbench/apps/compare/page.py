@@ -88,7 +88,7 @@ def labels(runs: Sequence[ComparedRun]) -> list[str]:
 
 
 def _pictures(runs: Sequence[ComparedRun]) -> list[Picture]:
-    """What the first run's machine is compared by."""
+    """Pictures by which runs are compared, those of the first run's machine."""
     pictures = []
     for panel in recorded_panels(runs[0].recording).panels:
         found = [

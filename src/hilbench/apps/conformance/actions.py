@@ -1,4 +1,4 @@
-"""What cases are made of: actions by name, and the types of the arguments that `cases/*.yaml` gives them.
+"""Actions of cases by name, and the types of the arguments that `cases/*.yaml` gives them.
 
 An action is a public function of the device under test in a module of cases: one exchange (`write`, `ask`, `nmt`), or
 an examination that is no list of exchanges. A case names it alone, with its first argument (`nmt: START`), or with

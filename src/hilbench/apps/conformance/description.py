@@ -1,4 +1,4 @@
-"""What the EDS file says of the device: the questions that cases have."""
+"""Description of the device by its EDS file, for cases."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Entry:
 
     @property
     def writable(self) -> bool:
-        """It can be read and written."""
+        """True if it can be read and written."""
         return self.access in _WRITABLE
 
     @property

@@ -363,7 +363,7 @@ def _set_point(dut: DeviceUnderTest, target: int) -> None:
 
 
 def profile_velocity(dut: DeviceUnderTest) -> None:
-    """At speed bit 10, at rest bit 12."""
+    """Examine profile velocity: bit 10 at speed, bit 12 at rest."""
     at = speed(dut)
     turn(dut, at.velocity)
     status_bit(dut, "at speed: target reached", STATUS_TARGET_REACHED, duration_s=2.0)

@@ -137,8 +137,8 @@ class DeviceUnderTest:
         self._received = []
         return [received for received in found if received.can_id != SDO_ANSWER + self.node_id]
 
-    def hear_until(self, can_id: int, then_s: float) -> list[ReceivedFrame]:
-        """The same up to a frame that is waited for as long as for an answer, and for a time behind it."""
+    def receive_until(self, can_id: int, then_s: float) -> list[ReceivedFrame]:
+        """Frames up to one that is awaited as long as an answer, and for a time behind it."""
         if not any(received.can_id == can_id for received in self._received):
             self._received += self.wire.listen(self.patience.answer_s, lambda received: received.can_id == can_id)
         return self.receive(then_s)

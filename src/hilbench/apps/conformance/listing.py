@@ -75,7 +75,7 @@ class Case:
 
 @cache
 def listed_cases() -> tuple[Case, ...]:
-    """All of them in the order in which they are examined."""
+    """Cases in the order in which they are examined."""
     return tuple(
         Case(name, number, case.title, case.clause, group.of_drives, (*case.needs, *case.do))
         for document in (load(_FOLDER / f"{file}.yaml") for file in _FILES)

@@ -113,7 +113,7 @@ def _write_back(dut: DeviceUnderTest, entry: Entry, data: bytes) -> None:
 
 
 def _open_pdos(dut: DeviceUnderTest) -> None:
-    """All PDOs invalid and nothing mapped, so that every parameter of theirs may be written."""
+    """Make all PDOs invalid and unmapped, so that every parameter of theirs may be written."""
     for base in (0x1400, 0x1800):
         for number in dut.eds.pdos(base):
             if dut.eds.can_write(base + number, 1):
@@ -155,7 +155,7 @@ def read_only(dut: DeviceUnderTest) -> None:
 
 
 def _refuses_long(dut: DeviceUnderTest, entry: Entry, data: bytes) -> None:
-    """At once, or after the last segment."""
+    """Check that a long write is refused, at once or after the last segment."""
     answer = dut.try_to_write(*entry.key, data)
     ok = isinstance(answer, Refusal) and answer.code == READ_ONLY
     dut.check(f"write {entry}", f"abort {READ_ONLY:08X}h", taken_text(answer), ok)

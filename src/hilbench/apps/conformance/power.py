@@ -65,7 +65,7 @@ def command(dut: DeviceUnderTest, controlword: int) -> None:
 
 
 def wait(dut: DeviceUnderTest, condition: Callable[[], bool], duration_s: float = _STATE_S) -> float | None:
-    """Until it holds: how long that took (s); None: it never did."""
+    """Wait until a condition holds: how long that took (s); None: it never did."""
     begun_s = dut.wire.now_s()
     while not condition():
         if dut.wire.now_s() - begun_s >= duration_s:
@@ -89,7 +89,7 @@ def expect_stays(dut: DeviceUnderTest, what: str, wanted: State) -> bool:
 
 
 def switch_off(dut: DeviceUnderTest) -> None:
-    """To SWITCH ON DISABLED, by a fault reset if need be."""
+    """Bring the drive to SWITCH ON DISABLED, by a fault reset if need be."""
     command(dut, Command.DISABLE_VOLTAGE.value)
     if state(dut) in (State.FAULT, State.FAULT_REACTION_ACTIVE):
         wait(dut, lambda: state(dut) is State.FAULT)

@@ -137,7 +137,7 @@ def shown_state(dut: DeviceUnderTest) -> State | None:
 
 
 def _wait_for_rest(dut: DeviceUnderTest) -> None:
-    """Until a quick stop is over: target reached, or without power."""
+    """Wait until a quick stop is over: target reached, or without power."""
     for _ in range(round(_QUICK_STOP_S / _STEP_S)):
         word = dut.number(STATUSWORD) or 0
         if decode_statusword(word) not in POWERED or word & STATUS_TARGET_REACHED:

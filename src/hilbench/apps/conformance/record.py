@@ -58,7 +58,7 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class Examination:
-    """All cases of one device."""
+    """Examination of one device: all its cases."""
 
     device: str
     node_id: int
@@ -79,7 +79,7 @@ class Examination:
 
 
 def some(found: list[Found], otherwise: str) -> list[Found]:
-    """What was found. Raises NotApplicableError, with the reason, where that is nothing."""
+    """Return what was found. Raises NotApplicableError, with the reason, where that is nothing."""
     if not found:
         raise NotApplicableError(otherwise)
     return found

@@ -43,7 +43,7 @@ def shown(case: CaseResult) -> tuple[list[Step], int]:
 
 
 def counted(verdicts: Iterable[Verdict]) -> str:
-    """How many of each, for a person."""
+    """Number of each verdict, for a person."""
     found = list(verdicts)
     return ", ".join(f"{found.count(verdict)} {verdict}" for verdict in Verdict if verdict in found)
 

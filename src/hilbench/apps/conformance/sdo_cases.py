@@ -34,7 +34,7 @@ def read_no_object(dut: DeviceUnderTest) -> None:
 
 
 def wrong_length(dut: DeviceUnderTest, widths: list[int], length: int, code: AbortCode) -> None:
-    """So many bytes into objects of other lengths."""
+    """Write `length` bytes into objects of other lengths."""
     areas = (0x1003, 0x1005, 0x1006, 0x1015, 0x1017, 0x1019)
     found = [
         dut.eds.entry(index) for index in areas if dut.eds.can_write(index) and dut.eds.entry(index).width in widths

@@ -145,7 +145,7 @@ def short_rpdo(dut: DeviceUnderTest) -> int:
     """Check that the EMCY of a too short RPDO comes, and return its error register (1001h)."""
     dut.forget()
     dut.send(dut.pdo.cob_id)
-    found = dut.hear_until(dut.emergency_id, _SOON_S)
+    found = dut.receive_until(dut.emergency_id, _SOON_S)
     dut.must(dut.frames("an RPDO without data", found, dut.emergency_id, f"{_TOO_SHORT} ?? ??????????"))
     return next(received.data[2] for received in found if received.can_id == dut.emergency_id)
 
@@ -167,7 +167,7 @@ def register_after_short_rpdo(dut: DeviceUnderTest) -> None:
     dut.reads_bits("1001h: generic and communication error", 0x1001, 0, 0x11)
     emergency_id = dut.emergency_id
     _send_rpdo(dut)
-    found = dut.hear_until(emergency_id, _SOON_S)
+    found = dut.receive_until(emergency_id, _SOON_S)
     dut.frames("an RPDO of the right length", found, dut.emergency_id, "00 00 ?? ??????????")
     dut.reads("1001h is 0 again", 0x1001, 0, 0)
 

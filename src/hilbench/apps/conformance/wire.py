@@ -11,7 +11,7 @@ from typing import Final, Protocol
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 
-#: How far the mean of periods may be from what was asked: below that it may be the listener.
+#: How far the mean of periods may be from the commanded one: below that it may be the listener.
 _SLACK: Final = 0.15
 #: Between two looks at whether to end.
 _LONGEST_WAIT_S: Final = 0.1
@@ -56,7 +56,7 @@ class LinkWire:
         return time.monotonic()
 
     def send(self, can_id: int, data: bytes) -> None:
-        """At once."""
+        """Send a frame at once."""
         self._link.send([Frame(can_id, data)])
 
     def listen(self, duration_s: float, until: Callable[[ReceivedFrame], bool] | None = None) -> list[ReceivedFrame]:

@@ -39,7 +39,7 @@ class DrivesApplication:
         )
 
     def ask(self, what: Callable[[], None]) -> None:
-        """Do this soon, from whatever thread it is asked."""
+        """Do this soon; may be called from any thread."""
         self._asked.put(what)
 
     def faulty(self, number: int) -> FaultyDrive:
@@ -47,7 +47,7 @@ class DrivesApplication:
         return self._faulty[number]
 
     def before_sync(self, behind: int) -> None:
-        """As the clock says, whatever the period of SYNC."""
+        """Advance by the clock, whatever the period of SYNC."""
         self._happen()
         self._rig.before_sync(behind)
 

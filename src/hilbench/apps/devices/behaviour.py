@@ -25,7 +25,7 @@ Word = Annotated[int, Field(ge=0, le=0xFFFF)]
 
 
 class Units(Block):
-    """Factors that the EDS file does not tell, at the motor shaft."""
+    """Factors that are not in the EDS file, at the motor shaft."""
 
     position_rad: Positive | None = Field(default=None, description="of a position unit (6064h)")
     velocity_rad_s: Positive | None = Field(default=None, description="of a velocity unit (606Ch, 60FFh)")

@@ -1,4 +1,4 @@
-"""A simulated drive with all that it is made of, and its node id where a master gives it one (LSS, CiA 305)."""
+"""A simulated drive with its parts, and its node id where a master gives it one (LSS, CiA 305)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class SimulatedNode:
     rig: ServoRig
     units: DriveUnits
     behaviour: Behaviour
-    #: What the EDS file does not tell, and was taken for granted; one line each.
+    #: Assumptions about what the EDS file does not contain; one line each.
     assumptions: Sequence[str]
     name: str
     axis: int = 1

@@ -83,7 +83,7 @@ def _serve_with_lss(
 
 
 def behaviour_of(path: Path | None, plant: Path | None) -> Behaviour:
-    """What drives do, by the file of --behaviour, with the shaft of --plant. Raises UnusableInputError."""
+    """Behaviour of drives by the file of --behaviour, with the shaft of --plant. Raises UnusableInputError."""
     behaviour = Behaviour() if path is None else load_behaviour(path)
     if plant is None:
         return behaviour

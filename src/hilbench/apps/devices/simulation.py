@@ -1,4 +1,4 @@
-"""Drives made of EDS files: each a CANopen device with a CiA-402 firmware and a motor that turns a shaft of its own."""
+"""Drives by EDS files: each a CANopen device with a CiA-402 firmware and a motor that turns a shaft of its own."""
 
 from __future__ import annotations
 

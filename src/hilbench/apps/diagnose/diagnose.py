@@ -38,7 +38,7 @@ _MOST_ROUNDS = 3
 
 @dataclass
 class _Files:
-    """What is written into the folder of ``--out``."""
+    """Files written into the folder of ``--out``."""
 
     page: Path
     model: Path
@@ -46,7 +46,7 @@ class _Files:
 
 
 def in_a_recording(source: Path, model_path: Path | None, progress: ProgressDisplay) -> Found:
-    """What a model lacks, by a recording. Raises UnusableInputError."""
+    """Diagnose what a model lacks, by a recording. Raises UnusableInputError."""
     if model_path is None:
         raise UnusableInputError("--model", "missing, expected the model file that the recording is compared with")
     config, model = config_from(model_path), any_model_from(model_path)
@@ -102,7 +102,7 @@ def _next_line(found: Found, written: Path | None) -> str:
 
 
 def changed_since(before: Path, source: Path, model_path: Path | None, progress: ProgressDisplay) -> Found:
-    """What changed from one recording to another."""
+    """Diagnose what changed from one recording to another."""
     config = None if model_path is None else config_from(model_path)
     model = None if model_path is None else any_model_from(model_path)
     runs = []
@@ -113,7 +113,7 @@ def changed_since(before: Path, source: Path, model_path: Path | None, progress:
 
 
 def _emulation(recording: Path, config: BenchConfig | None) -> AnyEmulation | None:
-    """How web or shaft was emulated, if a bench made the recording: by the config of its run, else the model's."""
+    """Emulation of web or shaft, if a bench made the recording: by the config of its run, else the model's."""
     return emulation_beside(recording) or (None if config is None else emulation_of(config))
 
 
@@ -200,7 +200,7 @@ def _show_all(console: Console, found: Found, files: _Files | None) -> None:
 
 
 def as_data(shown: Found, files: _Files | None, next_experiment: Path | None = None) -> dict[str, Any]:
-    """What `--json` prints (design, section 6)."""
+    """Data that `--json` prints (design, section 6)."""
     found = shown.diagnosis
     return {
         "verdict": found.verdict,
@@ -273,7 +273,7 @@ def _show(console: Console, shown: Found) -> None:
             console.print(f"these data could hardly show {place}; next experiment: {blind.experiment}")
         elif blind.smallest_visible is not None:
             least = f"{blind.smallest_visible:.3g} {blind.unit}"
-            console.print(f"a change of {place} of less than {least} could not be told", soft_wrap=True)
+            console.print(f"a change of {place} of less than {least} could not be detected", soft_wrap=True)
     for repair in found.repairs:
         console.print(f"mended: {repair.text}", soft_wrap=True)
     if found.missing_channels:

@@ -48,7 +48,7 @@ class Found:
 
     @property
     def sentence(self) -> str:
-        """What the verdict means."""
+        """Meaning of the verdict."""
         return (_SENTENCES if self.against is None else _CHANGES)[self.diagnosis.verdict]
 
 

@@ -1,4 +1,4 @@
-"""Whether a machine is fit for the pace of a bench: clock, scheduling rights, kernel and timer, read and judged."""
+"""Check if a machine is fit for the pace of a bench: clock, scheduling rights, kernel and timer, read and judged."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def check_machine(facts: MachineFacts, lateness: Lateness, needs: MachineNeeds) 
 
 
 def _unless(is_fine: bool, check: Check, fine: str, found: str, problem: str = "", **values: object) -> Finding:
-    """What is found where all is well, and otherwise."""
+    """Finding where all is well, and otherwise."""
     return ok(check, SUBJECT, fine) if is_fine else warning(check, SUBJECT, found, problem, **values)
 
 

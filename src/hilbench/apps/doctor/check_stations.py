@@ -1,4 +1,4 @@
-"""Whether the nodes on the bus are those of the config: read by SDO, never written to, and judged."""
+"""Check if the nodes on the bus are those of the config: read by SDO, never written to, and judged."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ExpectedNode:
     eds: Path
     ours: bool  #: `hilbench run` starts it: simulated hardware or twin
     device_type: int | None = None
-    #: Vendor id, product code and revision: for each, what [DeviceInfo] and 1018h give (0 stands for nothing).
+    #: Vendor id, product code and revision: for each, what [DeviceInfo] and 1018h give (0: nothing).
     identity: tuple[frozenset[int], ...] = (frozenset(), frozenset(), frozenset())
     mapped: tuple[MappedObject, ...] = ()
 
@@ -89,7 +89,7 @@ def check_received(
 
 
 def check_node(node: ExpectedNode, answers: NodeAnswers) -> list[Finding]:
-    """Findings on one node that was asked."""
+    """Findings on one node that was read."""
     if answers.device_type is None:
         return [_silent(node)]
     return [

@@ -1,4 +1,4 @@
-"""What has changed of a stand since its last run: its nodes, their EDS files, its config. Pure functions.
+"""Changes of a stand since its last run: its nodes, their EDS files, its config. Pure functions.
 
 A node is compared with what it said before the last run configured it, and with what that run wrote: either may be
 there now, by whether it was restarted since. What is neither was changed by somebody, or lost.
@@ -90,8 +90,8 @@ def drifts(
     fresh: frozenset[str],
     files: Sequence[EdsFile] = (),
 ) -> list[Drift]:
-    """All that has changed. `by_node`: what the drives say now, by part (nothing of one that is silent, no entry for
-    one that was not asked); `last`: what the last run of the stand kept; `fresh`: the parts that have just been
+    """Find all changes. `by_node`: present answers of the drives, by part (nothing of one that is silent, no entry for
+    one that was not read); `last`: what the last run of the stand kept; `fresh`: the parts that have just been
     started; `files`: EDS files among which that of an exchanged device may be. Raises UnusableInputError for an EDS
     file.
     """
@@ -300,7 +300,7 @@ def _other_file(part: Part, now: Mapping[Key, bytes | None], files: Sequence[Eds
 
 
 def _units(part: Part, od: ObjectDictionary, now: Mapping[Key, bytes | None]) -> Iterator[Write]:
-    """The factors that differ from those by file and config; of a device whose objects tell them."""
+    """The factors that differ from those by file and config; of a device that has them in objects."""
 
     def read(index: int, sub: int) -> int | float | None:
         key = object_of(part.node_axis, index), sub

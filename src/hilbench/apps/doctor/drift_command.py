@@ -1,4 +1,4 @@
-"""`hilbench drift`: what has changed of a stand since its last run."""
+"""`hilbench drift`: changes of a stand since its last run."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from hilbench.apps.cli.options import BusOption, ConfigArgument, JsonOption, Set
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, UnusableInputError
 
 if TYPE_CHECKING:
-    from hilbench.apps.doctor.asked import LastRun
     from hilbench.apps.doctor.drift import Drift
+    from hilbench.apps.doctor.drive_answers import LastRun
 
 
 def drift(
@@ -47,8 +47,8 @@ def drift(
 
     from hilbench.apps.canopen_tools.attach import left_out
     from hilbench.apps.canopen_tools.eds_match import eds_files
-    from hilbench.apps.doctor.asked import ask_stand, last_run
     from hilbench.apps.doctor.drift import drifts
+    from hilbench.apps.doctor.drive_answers import last_run, read_stand
     from hilbench.bench.check import check_bench
     from hilbench.exchange.node_data import drives_of
 
@@ -59,7 +59,7 @@ def drift(
         raise typer.BadParameter("--in-process and --no-start exclude each other")
     last, problems = last_run(runs, bench.stand_name)
     console = Console(stderr=True, highlight=False)
-    answers, fresh = ask_stand(
+    answers, fresh = read_stand(
         bench,
         start=start,
         in_process=in_process,
@@ -83,7 +83,7 @@ def drift(
 
 
 def _write(config: Path, found: Sequence[Drift], keys: Sequence[str]) -> list[str]:
-    """Write what was asked for; returns a line for each change."""
+    """Write the commanded outputs; returns a line for each change."""
     from hilbench.runs.config_text import write_value
 
     possible = {each.key: each for each in found if each.write}

@@ -65,7 +65,7 @@ class Examination:
 
     @property
     def nodes_asked(self) -> int:
-        """Number of nodes that were asked; without any, nothing is known of them."""
+        """Number of nodes that were read; without any, nothing is known of them."""
         return sum(finding.check is Check.NODE_ANSWERS for finding in self.findings)
 
     @property

@@ -62,13 +62,13 @@ class Finding:
 
 @cache
 def _texts() -> Mapping[str, Mapping[str, str]]:
-    """What is expected, and what to do otherwise."""
+    """Texts of findings: what is expected, and what to do otherwise."""
     texts: Mapping[str, Mapping[str, str]] = strict_yaml.load(Path(__file__).with_name("findings.yaml")).data
     return texts
 
 
 def ok(check: Check, subject: str, found: str) -> Finding:
-    """All is well."""
+    """Finding that all is well."""
     return Finding(check, subject, Level.OK, found)
 
 

@@ -48,7 +48,7 @@ class Gateway(socketserver.ThreadingTCPServer):
             self._clients.discard(client)
 
     def publish(self, line: str) -> None:
-        """Tell all clients of an event."""
+        """Send an event to all clients."""
         with self._lock:
             clients = list(self._clients)
         for client in clients:

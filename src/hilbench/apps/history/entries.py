@@ -1,8 +1,8 @@
-"""What a run folder says of the machine: what the twin estimated, and what a diagnosis of its recording found.
+"""Findings of a run folder about the machine: estimates of the twin, effects found by a diagnosis of its recording.
 
 Only what was estimated from measurements enters, never a value that a config gives: of a twin, what it held when it was
 last in step with the machine; of a diagnosis, the parameters of the effects that it named, with the names of those that
-its data could not tell from them; of a commissioning all that it measured.
+its data could not distinguish from them; of a commissioning all that it measured.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Estimate:
 
 
 def estimates(channels: Iterable[str]) -> Iterator[Estimate]:
-    """Those that a recording has."""
+    """Estimates in the channels of a recording."""
     for name in channels:
         if match := _CHANNEL.fullmatch(name):
             symbol, number, unit = match[1], match[2] or "", match[3]
@@ -186,7 +186,7 @@ def _of_twin(recording: Recording) -> Iterator[Quantity]:
 
 
 def _beside(folder: RunFolder) -> Iterator[Quantity]:
-    """Errors of its model that the twin has found and could tell, from the result of a run."""
+    """Errors of its model that the twin has found and could distinguish, from the result of a run."""
     if not folder.result.is_file():
         return
     for each in Result.read(folder.result).estimated or ():

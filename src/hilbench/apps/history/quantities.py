@@ -39,7 +39,7 @@ class QuantityTrend:
 
     @property
     def first_time_s(self) -> float:
-        """When the first run was, s since 1970."""
+        """Time of the first run, s since 1970."""
         return self.rows[0].time_s
 
     def time_s(self, day: float) -> float:
@@ -53,14 +53,14 @@ class QuantityTrend:
 
     @property
     def days(self) -> int:
-        """On how many days (UTC) there was a run."""
+        """Number of days (UTC) with a run."""
         return len({int(row.time_s // SECONDS_PER_DAY) for row in self.rows})
 
 
 def quantities_of(rows: Sequence[Row], limits: Mapping[str, float]) -> Iterator[QuantityTrend]:
     """Each quantity of a stand with its trend; `rows` by quantity and time, as a history gives them.
 
-    limits: values by quantity of which it is asked when they are reached. Raises UnusableInputError for a limit of a
+    limits: values by quantity whose time of arrival is predicted. Raises UnusableInputError for a limit of a
     quantity that no run has found.
     """
     names = {row.quantity.name for row in rows}
@@ -118,7 +118,7 @@ def sentences(one: QuantityTrend) -> list[str]:
     tied = [row.quantity.tied_with for row in one.rows if row.quantity.tied_with]
     if tied:
         others = ", ".join(sorted({name for each in tied for name in each.split(", ")}))
-        lines.append(f"in {len(tied)} of {len(one.rows)} runs it could not be told from {others}")
+        lines.append(f"in {len(tied)} of {len(one.rows)} runs it could not be distinguished from {others}")
     if one.limit is not None:
         lines.append(_limit_sentence(one))
     return lines
@@ -143,7 +143,7 @@ def _day(one: QuantityTrend, day: float) -> str:
 
 
 def as_data(one: QuantityTrend) -> dict[str, Any]:
-    """For a program; times are ISO 8601, UTC, rates per day."""
+    """Data for a program; times are ISO 8601, UTC, rates per day."""
     found = one.trend
     return {
         "quantity": one.name,

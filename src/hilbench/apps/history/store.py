@@ -51,7 +51,7 @@ CREATE TABLE found (
 @dataclass(frozen=True)
 class Quantity:
     """A quantity that was estimated: its name (``axis2.coulomb_friction.force_N``), value and stated standard
-    deviation in `unit`; `tied_with`: the effects that these data could not tell from it, comma-separated."""
+    deviation in `unit`; `tied_with`: the effects that these data could not distinguish from it, comma-separated."""
 
     name: str
     value: float

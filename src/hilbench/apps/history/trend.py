@@ -1,4 +1,4 @@
-"""How a quantity of a stand changes over days: level, rate, sudden changes, and when a limit will be reached.
+"""Trend of a quantity of a stand over days: level, rate, sudden changes, and when a limit will be reached.
 
 What is known of a quantity is a value from each of some runs, each with a stated standard deviation. Runs repeat worse
 than they state, and days differ by what nobody measures (temperature), so that neighbouring days are alike. The model:
@@ -10,7 +10,7 @@ meta-analysis, DerSimonian and Laird, 1986), w is a stationary process with expo
 are steps (a part was exchanged), kinks (the rate is another from a day on), and single runs that are off. Level and
 rate have flat priors, so the likelihood is the restricted one (Patterson and Thompson, 1971). Which changes there are,
 and how large repeats and days vary, is not chosen but averaged over by likelihood (Hoeting et al., Bayesian Model
-Averaging, 1999): with few days the intervals are as wide as what cannot be told apart makes them.
+Averaging, 1999): with few days the intervals are as wide as what cannot be separated makes them.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Reached:
-    """When a limit will be reached, days from the last run: median, and 90 % interval; infinite for never."""
+    """Time at which a limit will be reached, days from the last run: median, 90 % interval; infinite for never."""
 
     limit: float
     median_d: float
@@ -111,7 +111,7 @@ def trend(
 ) -> Trend | None:
     """The trend of values (n,) at days (n,), with stated standard deviations (n,); None where all runs are of one day.
 
-    limits: values of which it is asked when they are reached; ahead_d: how far beyond the last run the band goes.
+    limits: values whose time of arrival is predicted; ahead_d: how far beyond the last run the band goes.
     Raises ValueError for what is not finite.
     """
     t, y, s = (np.asarray(given, np.float64) for given in (days, values, deviations))
@@ -247,7 +247,7 @@ class _Fit:
 
 
 class _Average:
-    """All models together, by their probability."""
+    """Average of all models by their probability."""
 
     def __init__(self, points: _Points) -> None:
         self._points, self._end = points, float(points.t[-1])
@@ -386,7 +386,7 @@ class _Average:
         return sorted(found, key=lambda change: (change.before_d, change.kind))
 
     def _reached(self, mixture: _Mixture, limit: float, direction: Direction | None) -> Reached | None:
-        """When a limit is reached at the rate of now; None where nothing is said to move towards it."""
+        """Time at which a limit is reached at the present rate; None where the quantity does not move towards it."""
         distance = (limit - self._points.middle) / self._points.scatter
         level = float(mixture.moments()[0][0])
         if direction is None or (distance > level) != (direction == "rising"):

@@ -1,1 +1,1 @@
-"""The runs in a folder: found, told from each other, labelled, compared and cleared away."""
+"""The runs in a folder: found, distinguished, labelled, compared and cleared away."""

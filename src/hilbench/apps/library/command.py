@@ -138,7 +138,7 @@ def list_runs(
 
 
 def _metrics_of(query: Query) -> list[str]:
-    """What stands in a condition and is no field: it is shown beside the runs that it finds."""
+    """Metrics named in a condition: they are shown beside the runs that it finds."""
     from hilbench.apps.library.query import FIELDS
 
     return [] if query.where is None else sorted(query.where.names - FIELDS.keys())
@@ -374,7 +374,7 @@ def delete(
 
 
 def _given(library: Library, run: str) -> Path:
-    """A path is taken as it is, so that what is no run folder is told as such."""
+    """A path is taken as it is, so that a folder which is no run's is reported as such."""
     path = Path(run)
     return path if path.exists() or path.is_symlink() else library.find(run).path
 
@@ -508,7 +508,7 @@ def matrix(
 
 
 def _print_matrix(made: Matrix) -> None:
-    """Runs by letters, so that many stand beside each other."""
+    """Runs by letters, so that many fit beside each other."""
     if not made.rows:
         typer.echo("no criterion of these runs verifies a requirement (verifies: [REQ-1])")
         return

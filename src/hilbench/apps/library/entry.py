@@ -1,4 +1,4 @@
-"""What the library knows of a run: read from its folder, once for as long as the folder does not change."""
+"""Entry of a run in the library: read from its folder, once for as long as the folder does not change."""
 
 from __future__ import annotations
 
@@ -67,31 +67,31 @@ class RunEntry(Strict):
 
     @property
     def name(self) -> str:
-        """Of its folder."""
+        """Name of its folder."""
         return self.path.rpartition("/")[2]
 
     @property
     def began(self) -> str:
-        """When it began, local time: ``2026-11-22 18:51:05``."""
+        """Local time at which it began: ``2026-11-22 18:51:05``."""
         return datetime.fromtimestamp(self.began_s).strftime("%Y-%m-%d %H:%M:%S")
 
     @property
     def verifies(self) -> bool:
-        """Whether any of its criteria verifies a requirement."""
+        """True if any of its criteria verifies a requirement."""
         return any(each.verifies for each in self.verdicts)
 
     @property
     def held(self) -> str:
-        """How many of its criteria held, "" of none: ``2/3``."""
+        """Number of its criteria that held, "" of none: ``2/3``."""
         return f"{self.met}/{self.criteria}" if self.criteria else ""
 
     @property
     def set_values(self) -> str:
-        """What options gave: ``seed=7, pace=lockstep``."""
+        """Settings by options: ``seed=7, pace=lockstep``."""
         return ", ".join(f"{key}={value}" for key, value in self.settings.items())
 
     def as_data(self) -> dict[str, Any]:
-        """For a program; times in ISO 8601, UTC."""
+        """Data for a program; times in ISO 8601, UTC."""
         began = datetime.fromtimestamp(self.began_s, UTC).isoformat(timespec="seconds")
         return self.model_dump(mode="json", by_alias=True, exclude={"verdicts"}) | {"began": began}
 
@@ -127,7 +127,7 @@ def read_entry(base: Path, path: str) -> RunEntry:
 
 
 def _config(folder: RunFolder, problems: list[str]) -> dict[str, Any]:
-    """The few values at the top of a config that tell runs apart: the rest of it takes long to parse."""
+    """The few values at the top of a config that distinguish runs: the rest of it takes long to parse."""
     try:
         text = content(folder.config, _MOST_BYTES, kept=True).decode(errors="replace")
         found = yaml.load("".join(match[0] for match in _TOP_LEVEL.finditer(text)), _LOADER)
@@ -149,7 +149,7 @@ def _json(path: Path, problems: list[str]) -> dict[str, Any]:
 
 
 def _mapping(path: Path, found: object, problems: list[str]) -> dict[str, Any]:
-    """What stands in a file, where it can be kept and shown: escapes may stand for characters that no text has."""
+    """Content of a file, where it can be kept and shown: escapes may be of characters that no text has."""
     try:
         json.dumps(found, ensure_ascii=False, default=str).encode()
     except (ValueError, RecursionError):  # among them UnicodeEncodeError
@@ -183,7 +183,7 @@ def _commit(git: Mapping[str, Any] | None) -> str:
 
 
 def _began_s(folder: RunFolder, result: Mapping[str, Any]) -> float:
-    """As the result says it; of older runs, and those without one, the time in the name, or of the config's file."""
+    """Start time by the result; of older runs, and those without one, the time in the name, or of the config's file."""
     try:
         return datetime.fromisoformat(result["began"]).timestamp()
     except (KeyError, TypeError, ValueError, OverflowError, OSError):
@@ -196,7 +196,7 @@ def _began_s(folder: RunFolder, result: Mapping[str, Any]) -> float:
 
 
 def _size(path: Path) -> int:
-    """Of all files in a folder, bytes."""
+    """Size of all files in a folder, bytes."""
     total = 0
     try:
         with os.scandir(path) as entries:

@@ -1,8 +1,8 @@
 """The index of the runs in a folder: one SQLite file, made again from the run folders whenever it is missing.
 
-Nothing is only there: what a run is stands in its folder, tags and notes as well. A folder is opened again when it, its
-result or its labels have changed; otherwise a listing looks at three times of change a run. Several processes may use
-it at a time (write-ahead log, a waiting time for the lock, one transaction an update). Where the folder can't be
+Nothing is only there: all data of a run are in its folder, tags and notes as well. A folder is opened again when it,
+its result or its labels have changed; otherwise a listing looks at three times of change a run. Several processes may
+use it at a time (write-ahead log, a waiting time for the lock, one transaction an update). Where the folder can't be
 written, the index is made in memory, for this once.
 """
 
@@ -45,7 +45,7 @@ CREATE TABLE metric (
 ) STRICT, WITHOUT ROWID;
 CREATE INDEX metric_of_run ON metric (path);
 """
-#: From so many folders that are to be read on, one is told that it takes a while.
+#: From so many folders that are to be read on, a line announces that it takes a while.
 _MANY: Final = 300
 
 
@@ -61,7 +61,7 @@ class Index:
     def runs(
         self, metrics: Iterable[str] | None = (), announce: Callable[[str], None] = lambda text: None
     ) -> list[RunEntry]:
-        """All runs as they are now, the newest first, with these metrics (None: all that they have).
+        """Runs as they are now, the newest first, with these metrics (None: all that they have).
 
         `announce` gets a line when many folders are to be read. Raises UnusableInputError for no folder.
         """
@@ -107,8 +107,8 @@ class Index:
             )
 
     def _asked(self, question: Callable[[sqlite3.Connection], list[_Answer]]) -> list[_Answer]:
-        """Of the file, which is made anew where it is damaged, of another version or no index at all; of one in memory
-        where it can't be written, or somebody else holds it."""
+        """Query the file, which is made anew where it is damaged, of another version or no index at all; or one in
+        memory where it can't be written, or somebody else holds it."""
         for _ in range(2):
             try:
                 with closing(_opened(self.base / FILE)) as file:
@@ -141,7 +141,7 @@ def _entry(text: str, metrics: Mapping[str, float]) -> RunEntry:
 
 
 def _metrics(connection: sqlite3.Connection, names: Iterable[str] | None) -> dict[str, dict[str, float]]:
-    """By run, then by name."""
+    """Metrics by run, then by name."""
     values: dict[str, dict[str, float]] = {}
     if names is None:
         rows = connection.execute("SELECT name, path, value FROM metric").fetchall()
@@ -177,7 +177,7 @@ def _run_folders(base: Path, known: Iterable[str]) -> Iterator[tuple[str, str]]:
 
 
 def is_run(path: str | Path) -> bool:
-    """Whether a folder is that of a run: a config, and something that only a run leaves."""
+    """True if a folder is that of a run: a config, and something that only a run leaves."""
     return os.path.isfile(f"{path}/config.yaml") and any(
         os.path.isfile(f"{path}/{name}") for name in ("trace.log", "result.json", "journal.log", "recording.mf4")
     )

@@ -1,4 +1,4 @@
-"""What people say of a run: tags and notes, in a file of its own in the run folder."""
+"""Labels of a run: tags and notes, in a file of its own in the run folder."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Labels(JsonFile):
 
     @classmethod
     def of(cls, folder: RunFolder) -> Self:
-        """Those of a run; none where nobody has said anything. Raises UnusableInputError for a file that is none."""
+        """Labels of a run; none where there is no such file. Raises UnusableInputError for a file that is none."""
         return cls.read(folder.labels) if folder.labels.exists() else cls()
 
 

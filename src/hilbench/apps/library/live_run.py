@@ -46,7 +46,7 @@ class LiveRun:
 
     folder: RunFolder
     journal: JournalReader
-    is_played: bool = False  #: it has ended, and is heard again from its trace
+    is_played: bool = False  #: it has ended, and is replayed from its trace
 
     @classmethod
     def on(cls, runs: Path, channel: str) -> Self | None:
@@ -60,11 +60,11 @@ class LiveRun:
 
     @property
     def continues(self) -> bool:
-        """Whether it still does."""
+        """True if the run still goes on."""
         return continues(self.folder)
 
     def cycles(self, sync_ns: int, cycle_ns: int) -> int:
-        """SYNCs before one that was heard at `sync_ns`, by its trace, which may be a little behind, or ahead."""
+        """SYNCs before one that was received at `sync_ns`, by its trace, which may be a little behind, or ahead."""
         wanted, count, rest, tail = f" {SYNC:03X}#".encode(), 0, b"", b""
         for part in parts_of(self.folder.trace):
             with open_part(part) as file:
@@ -95,7 +95,7 @@ def _folders(runs: Path) -> list[tuple[float, Path]]:
 
 
 def _channel(trace: Path) -> str:
-    """That of its first line."""
+    """Channel in the first line of a trace."""
     try:
         with open(trace, "rb") as file:
             words = file.readline(_BLOCK).split()

@@ -27,7 +27,7 @@ _LONGEST_TITLE: Final = 120
 
 @dataclass(frozen=True)
 class Requirement:
-    """Of a specification: its title may be "" where only its id is known."""
+    """Requirement of a specification: its title may be "" where only its id is known."""
 
     id: str
     title: str = ""
@@ -43,12 +43,12 @@ class Row:
 
     @property
     def covered(self) -> bool:
-        """Whether any of the runs has a criterion that verifies it."""
+        """True if any of the runs has a criterion that verifies it."""
         return bool(self.criteria)
 
     @property
     def newest(self) -> Cell:
-        """Of the newest run that says something of it."""
+        """Cell of the newest run with a verdict on it."""
         return next((cell for cell in self.cells if cell), "")
 
 
@@ -62,16 +62,16 @@ class Matrix:
 
     @property
     def not_covered(self) -> list[Requirement]:
-        """Those that no criterion of any run verifies."""
+        """Requirements that no criterion of any run verifies."""
         return [row.requirement for row in self.rows if not row.covered]
 
     @property
     def fulfilled(self) -> bool:
-        """Whether every requirement is covered, and passed when it was last looked at."""
+        """True if every requirement is covered, and passed when it was last verified."""
         return all(row.newest in ("passed", "marginal") for row in self.rows)
 
     def as_data(self) -> dict[str, Any]:
-        """For a program."""
+        """Data for a program."""
         return {
             "runs": [{"run": run.path, "result": run.state} for run in self.runs],
             "requirements": [
@@ -89,7 +89,7 @@ class Matrix:
 
 
 def matrix_of(runs: Sequence[RunEntry], specified: Iterable[Requirement] = ()) -> Matrix:
-    """The matrix of these runs; requirements of the specification stand there whether any run verifies them or not.
+    """The matrix of these runs; requirements of the specification are in it whether any run verifies them or not.
 
     A run that ended with a fault verifies nothing that it says passed: its bench was not what it should be.
     """

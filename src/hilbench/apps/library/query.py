@@ -1,4 +1,4 @@
-"""Which runs one means: by name, bench, result, tag, time, and a condition on what is known of them."""
+"""Query of runs: by name, bench, result, tag, time, and a condition on what is known of them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FIELDS: Final[dict[str, Callable[[RunEntry], Any]]] = {
 
 @dataclass(frozen=True)
 class Query:
-    """What runs have to be like; None and empty: anything. `name` and `bench` with * and ?; times since 1970, s."""
+    """Conditions on runs; None and empty: any. `name` and `bench` with * and ?; times since 1970, s."""
 
     name: str | None = None
     bench: str | None = None
@@ -61,7 +61,7 @@ class Query:
         *,
         now_s: float | None = None,
     ) -> Query:
-        """As one types it; `since` and `until`: a date, or an age (``7d``). Raises UnusableInputError."""
+        """Parse a query as it is typed; `since` and `until`: a date, or an age (``7d``). Raises UnusableInputError."""
         for result in results or ():
             if result not in STATES:
                 raise UnusableInputError("--result", f"'{result}', expected one of {', '.join(STATES)}")
@@ -78,11 +78,11 @@ class Query:
 
     @property
     def asks(self) -> bool:
-        """Whether anything is asked of the runs at all."""
+        """True if there is any condition."""
         return self != Query()
 
     def finds(self, run: RunEntry) -> bool:
-        """Whether a run is like that."""
+        """True if a run meets the conditions."""
         return (
             (self.name is None or fnmatchcase(run.name, self.name) or fnmatchcase(run.path, self.name))
             and (self.bench is None or fnmatchcase(run.bench, self.bench))
@@ -103,13 +103,13 @@ def find_run(run: str, base: Path, announce: Callable[[str], None] = lambda text
 
 
 def entry_of(folder: RunFolder) -> RunEntry:
-    """What is known of one run, with all its metrics."""
+    """Entry of one run, with all its metrics."""
     path = folder.path.resolve()
     return _as_it_is(path.parent, read_entry(path.parent, path.name))
 
 
 def values_of(run: RunEntry, names: Iterable[str]) -> dict[str, Any]:
-    """What is known of a run under these names."""
+    """Values of a run by these names."""
     found: dict[str, Any] = {}
     for name in names:
         for known in (run.metrics, FIELDS, run.settings):
@@ -147,7 +147,7 @@ class Library:
         self._announce = announce
 
     def runs(self, query: Query | None = None, metrics: Iterable[str] | None = ()) -> list[RunEntry]:
-        """Those that are like that, the newest first, with these metrics (None: all of theirs) and those of the
+        """Runs that meet the query, the newest first, with these metrics (None: all of theirs) and those of the
         condition.
 
         Raises UnusableInputError for no folder, and for a name in the condition that nothing has.
@@ -182,7 +182,7 @@ class Library:
         raise UnusableInputError(run, f"no run of that name in {self.base}, expected a run folder or its name{known}")
 
     def known_names(self, runs: Iterable[RunEntry] = ()) -> set[str]:
-        """What a condition may ask for."""
+        """Names that a condition may have."""
         return {*FIELDS, *self.index.metric_names(), *(key for run in runs for key in run.settings)}
 
     def _check(self, names: Iterable[str], runs: Sequence[RunEntry]) -> None:

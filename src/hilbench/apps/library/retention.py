@@ -18,7 +18,7 @@ from hilbench.results.run_folder import RunFolder
 
 @dataclass(frozen=True)
 class Keep:
-    """What is to be kept of a library; None: no bound.
+    """Bounds of what is kept of a library; None: no bound.
 
     A run goes when it is older than `younger_than_s`, or when all younger runs together have filled `size_bytes`
     already. It stays whatever these say when it is among the `last` of its bench, has one of the reasons to be kept
@@ -40,7 +40,7 @@ class Goes:
 
 
 def to_clear(runs: Sequence[RunEntry], keep: Keep, now_s: float) -> list[Goes]:
-    """Which of all runs of a library go, the oldest first."""
+    """Runs of a library to be cleared, the oldest first."""
     newest_first = sorted(runs, key=lambda run: (run.began_s, run.path), reverse=True)
     of_bench: dict[str, int] = {}
     goes: list[Goes] = []

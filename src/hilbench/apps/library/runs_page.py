@@ -55,8 +55,8 @@ def row(run: RunEntry) -> tuple[str, ...]:
 
 
 def page_data(runs: Sequence[RunEntry], link: Link, replay: Link | None = None) -> dict[str, Any]:
-    """What the page's script knows: runs, and each metric as a list over them. `link`: address of a run's report,
-    `replay`: where it is played again."""
+    """Data of the page's script: runs, and each metric as a list over them. `link`: address of a run's report,
+    `replay`: address of its replay."""
     names = dict.fromkeys(name for run in runs for name in run.metrics)
     return {
         "runs": [

@@ -36,7 +36,7 @@ class Point:
 
 
 def points_of(runs: Sequence[RunEntry], metric: str, over: str = BEGAN) -> list[Point]:
-    """Those that have both, by `over`. Raises UnusableInputError where it is no number."""
+    """Points of the runs that have both, by `over`. Raises UnusableInputError where it is no number."""
     found = []
     for run in runs:
         known = values_of(run, [metric, over])
@@ -50,7 +50,7 @@ def points_of(runs: Sequence[RunEntry], metric: str, over: str = BEGAN) -> list[
 
 
 def medians(points: Sequence[Point]) -> list[float]:
-    """Of the runs beside each; none of few runs."""
+    """Medians of the runs around each; none of few runs."""
     if len(points) < _LEAST_FOR_A_LINE:
         return []
     values = np.array([point.value for point in points])
@@ -111,7 +111,7 @@ Direction = Literal["rising", "falling", "level"]
 
 @dataclass(frozen=True)
 class Summary:
-    """Of a metric over runs; `direction`: by Kendall's rank correlation with `over`, at a level of 1 %."""
+    """Summary of a metric over runs; `direction`: by Kendall's rank correlation with `over`, at a level of 1 %."""
 
     runs: int
     least: float

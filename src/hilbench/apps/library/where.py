@@ -47,7 +47,7 @@ class Condition:
     _tree: ast.expr
 
     def holds(self, values: Mapping[str, Any]) -> bool:
-        """Whether it is true of a run with these values; of a name that is not among them nothing is known.
+        """True if it holds for a run with these values; of a name that is not among them nothing is known.
 
         Raises UnusableInputError for a text that is compared with a number.
         """

@@ -36,7 +36,7 @@ from hilbench.topology.web_line_quantities import TENSION_PROBE
 
 #: How long the bench may take, s; in lockstep it answers with its next cycle.
 PATIENCE_S: Final = 3.0
-#: Probability from which a crossing to come is told.
+#: Probability from which a crossing to come is shown.
 _LIKELY: Final = 0.5
 #: Of all that is foreseen, tensions and torques are shown.
 SHOWN_UNITS: Final = ("N", "N·m")
@@ -83,7 +83,7 @@ class RecentFrames:
             self._syncs -= oldest
 
     def frames(self) -> list[Frame]:
-        """All of them, in their order."""
+        """Frames in the order in which they were received."""
         return [frame for received in self._received for frame in received]
 
 
@@ -154,7 +154,7 @@ class ChangeRequests:
         return self._submit(self._thread, self._change, quantity, value)
 
     def send(self, switch: Switch, on: bool) -> Future[str]:
-        """Say yes or no, as soon as what was asked before has been answered."""
+        """Answer yes or no, as soon as the request before has been answered."""
         asked = f"{switch.title}: {'yes' if on else 'no'}"
         return self._submit(self._thread, self._write, switch.path, asked, float(on), "0 or 1")
 

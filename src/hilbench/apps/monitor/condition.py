@@ -18,7 +18,7 @@ SILENCE_S = 1.0
 
 
 class Condition(Enum):
-    """In the words of the monitor."""
+    """Condition of a bench in the words of the monitor."""
 
     NOT_RECEIVED = "not received"
     RUNNING = "running"

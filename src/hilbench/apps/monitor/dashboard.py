@@ -70,7 +70,7 @@ class _Number(Input):
     """A field for a number, without an exponent: that letter is the emergency stop's here, too."""
 
     def check_consume_key(self, key: str, character: str | None) -> bool:
-        """Which keys are text; the others' bindings act."""
+        """True for keys that are text; the others' bindings act."""
         return key != _STOP_KEY and super().check_consume_key(key, character)
 
 
@@ -186,7 +186,7 @@ class Dashboard(App[None]):
         self.push_screen(_Dialogue(text, {"y": True, "n": False}), ask)
 
     def action_switch(self, key: str) -> None:
-        """Ask for yes or no, and tell the bench."""
+        """Ask for yes or no, and send it to the bench."""
         switch = self._changes.switches[key]
 
         def send(on: bool | None) -> None:
@@ -217,7 +217,7 @@ class Dashboard(App[None]):
         if yes:
             try:
                 send_emergency_stop(self._link)
-                self._picture.take(EMERGENCY_STOP)  # a link does not hear what it sends
+                self._picture.take(EMERGENCY_STOP)  # a link does not receive what it sends
                 self._notify("emergency stop sent")
             except BusError as error:
                 self._notify(f"EMERGENCY STOP NOT SENT: {error}")
@@ -247,7 +247,7 @@ class Dashboard(App[None]):
         width = max(log.scrollable_content_region.width, _NARROWEST)
         log.write_lines([line for text in texts for line in wrap(text, width, subsequent_indent="  ")])
 
-    # -- what is heard -------------------------------------------------------------------------------------
+    # -- received frames -----------------------------------------------------------------------------------
 
     def _read(self) -> None:
         frames = self._link.receive(0.0)

@@ -102,7 +102,7 @@ class NodePicture:
     velocity_rad_s: float | None = None
     torque_Nm: float | None = None
     position_rad: float | None = None
-    stale: bool = False  #: it has been heard, and is not heard any more
+    stale: bool = False  #: it has been received, and is not any more
 
     def forget(self) -> None:
         """Discard the last values, which are outdated."""
@@ -116,7 +116,7 @@ class _Received:
 
     cycle: int
     time_s: float
-    within_cycles: float  #: in so many it should be heard again
+    within_cycles: float  #: in so many the next one should be received
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class BusPicture:
     """Picture of one bench; `take` adds received frames."""
 
     config: BenchConfig
-    cycles: int = 0  #: SYNCs heard of this run
+    cycles: int = 0  #: SYNCs received of this run
     faults: deque[FaultNote] = field(default_factory=lambda: deque(maxlen=_FAULTS_KEPT))
     fault_count: int = 0  #: of all faults so far, also of those no longer kept
     every: int = 25  #: cycles between two points of a trend
@@ -181,7 +181,7 @@ class BusPicture:
         ] = {}  # by node, and what: PDOs, heartbeat, the twin's answer
         self._heartbeat_cycles = self.config.master.node_heartbeat_ms * 1e-3 / self.config.cycle_time_s
 
-    # -- what was heard --------------------------------------------------------------------------------------
+    # -- received messages -----------------------------------------------------------------------------------
 
     def take(self, frames: Iterable[Frame], now_s: float | None = None) -> None:
         """Add frames in the order of reception, at `now_s` of the monotonic clock (now, if not given)."""
@@ -213,9 +213,9 @@ class BusPicture:
         if len(status) == self._status.size:
             self._look_at_model(int(self._status.unpack(status)[2]))
         if any(len(last.get(cob_id, b"")) == pdo.size for cob_id, pdo in self._states.items()):
-            self._hear(self.config.twin.node.node_id, "PDO", _MISSED)
+            self._mark_received(self.config.twin.node.node_id, "PDO", _MISSED)
         for node_id, state in nmt_states(heartbeats).items():
-            self._hear(node_id, "heartbeat", _HEARTBEATS_MISSED * self._heartbeat_cycles)
+            self._mark_received(node_id, "heartbeat", _HEARTBEATS_MISSED * self._heartbeat_cycles)
             self._nmt(node_id, state)
         self._look_for_silence()
 
@@ -234,8 +234,8 @@ class BusPicture:
         changing, changed = status & TwinStatus.MODEL_CHANGING, status & TwinStatus.MODEL_CHANGED
         self.model = "another model is evaluated" if changing else "model with what was found" if changed else ""
 
-    def _hear(self, who: int | str, what: str, within_cycles: float) -> None:
-        """`who`: a node by its id, or a part by its name."""
+    def _mark_received(self, who: int | str, what: str, within_cycles: float) -> None:
+        """Note that a message was received. `who`: a node by its id, or a part by its name."""
         self._received[who, what] = _Received(self.cycles, self._now_s, within_cycles)
 
     def _look_for_silence(self) -> None:
@@ -251,7 +251,8 @@ class BusPicture:
                 node.nmt_state = None
 
     def _is_silent(self, received: _Received, *, running: bool) -> bool:
-        """By the clock, and while SYNC runs by the cycles as well: in lockstep these may take their time."""
+        """True if a sender is silent by the clock, and while SYNC runs by cycles as well: in lockstep these may be
+        slow."""
         if self._now_s - received.time_s <= SILENCE_S:
             return False
         return not running or self.cycles - received.cycle > received.within_cycles
@@ -299,7 +300,7 @@ class BusPicture:
         for cob_id, (node, pdo, indices, units) in self._tpdos.items():
             data = last.get(cob_id)
             if data is not None and len(data) == pdo.size:
-                self._hear(node.part, "PDO", _MISSED * pdo.period)
+                self._mark_received(node.part, "PDO", _MISSED * pdo.period)
                 self._show(node, dict(zip(indices, pdo.unpack(data), strict=True)), units)
 
     def _show(self, node: NodePicture, raw: dict[int, int | float], units: DriveUnits) -> None:

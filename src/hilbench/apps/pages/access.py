@@ -1,7 +1,7 @@
-"""Who may see and use the pages: a token, and requests that come from these pages and from nowhere else.
+"""Access to the pages: by a token, and for requests that come from these pages alone.
 
 The token is printed once, in the fragment of an address: a browser does not send that, the page's script hands it over
-for a session cookie, and takes it out of the address. Names under which the pages may be asked for are checked, so that
+for a session cookie, and takes it out of the address. Names under which the pages may be requested are checked, so that
 no other site can have its own name lead here (DNS rebinding); where a request comes from is checked, so that no other
 site can use the session (CSRF). Source: OWASP cheat sheets on sessions, CSRF, and WebSockets.
 """
@@ -29,7 +29,7 @@ _PUBLIC: Final = frozenset({"/", "/session"})
 _LARGEST_BODY: Final = 4096
 _MOST_SESSIONS: Final = 256
 _SAFE_METHODS: Final = frozenset({"GET", "HEAD"})
-#: What a page may load: from here, and nothing that stands in its own text.
+#: What a page may load: from here, and nothing that is in its own text.
 _POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -46,7 +46,7 @@ _HEADERS: Final = {
 
 
 class Access:
-    """The token of one server, the sessions that it has opened, and the names by which it is asked.
+    """The token of one server, the sessions that it has opened, and the names under which it is requested.
 
     `host` and `port`: where it listens.
     """

@@ -49,9 +49,9 @@ def monitor(
     for each quantity of the machine that can be changed (of a web line v line speed, t tension set-point, m E of the
     emulated web; of a servo axis v speed, m inertia, f friction). Where the bench has it, p makes, allows or refuses a
     probe, and c a proposed change of the twin's model. w shows what would come if the speed, the set-point or E went to
-    another value. What somebody does stands in the journal of the run, with who it was.
+    another value. What somebody does is in the journal of the run, with who it was.
 
-    With --json it listens for a while and prints what it heard as one object.
+    With --json it listens for a while and prints what it received as one object.
 
     With --browser it prints the address of a page instead, which shows the same with plots of the last minutes, to any
     number of viewers of whom one controls, until Ctrl+C ends it; the bench does not notice.

@@ -25,7 +25,7 @@ _LIST_POLICY: Final = "frame-ancestors 'none'; base-uri 'none'; form-action 'non
 
 
 def folder_of(base: Path, name: str) -> RunFolder | None:
-    """The run of a name in a folder. What is asked for never becomes a path: it is one of those that are there."""
+    """The run of a name in a folder. A requested name never becomes a path: it is one of those that are there."""
     with suppress(UnusableInputError):
         if any(run.path == name for run in Library(base).runs()):
             return RunFolder(base / name)

@@ -36,7 +36,7 @@ from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
 from hilbench.errors import UnusableInputError
 from hilbench.topology.config import BenchConfig
 
-#: Every file that there is to ask for, where it stands, and what it is.
+#: Every file that may be requested, its place, and what it is.
 _FILES: Final = {
     "live.js": ("pages/static/live.js", "text/javascript"),
     "axes.js": ("report/axes.js", "text/javascript"),
@@ -51,7 +51,7 @@ LOOPBACK: Final = "127.0.0.1"
 PORT: Final = 8321
 #: Bytes of a message of a viewer, and of the head of a request, at most.
 _LARGEST_MESSAGE, _LARGEST_HEAD = 4096, 16_384
-#: A viewer of whom nothing is heard for so long is gone, s.
+#: A viewer from whom nothing is received for so long is gone, s.
 _PING_S: Final = 10.0
 #: Connections that are not a viewer's.
 _MOST_CONNECTIONS: Final = 128

@@ -1,4 +1,4 @@
-"""What a picture shows: curves and bands over time in one or more sets of axes. `plots` draws it, `live` makes it
+"""Contents of a picture: curves and bands over time in one or more sets of axes. `plots` draws it, `live` makes it
 interactive."""
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Chart:
         return min(c.t_s[0] for c in self.curves), max(c.t_s[-1] for c in self.curves)
 
     def part(self, from_s: float, to_s: float) -> Chart:
-        """The same of an interval; curves that have no two samples in it are left out."""
+        """Part of a chart in an interval; curves that have no two samples in it are left out."""
         curves, bands = [], []
         for curve in self.curves:
             part = _between(curve.t_s, from_s, to_s)
@@ -103,5 +103,5 @@ class Mark:
 
     @property
     def lasts(self) -> bool:
-        """Whether it is an area and no line."""
+        """True if it is an area and no line."""
         return self.end_s > self.start_s and not self.number

@@ -48,13 +48,13 @@ _LINES, _ARROW, _BECAME, _WHAT = 0.77, 0.73, 0.79, 0.87
 
 #: Columns of the table of what the twin found of errors of its model.
 ESTIMATED_COLUMNS: Final = ("Effect", "Where", "Parameter", ">Value", ">95 %", "Unit", "Could also be")
-#: Steps that stand side by side in a table, and those in the list of them.
+#: Steps side by side in a table, and those in the list of them.
 _MOST_COLUMNS = 8
 _MOST_ROWS = 100
 
 
 def estimated_rows(result: Result) -> list[tuple[str, ...]]:
-    """A row for each parameter that the data tell, as `ESTIMATED_COLUMNS`."""
+    """A row for each parameter that the data show, as `ESTIMATED_COLUMNS`."""
     return [
         (
             each.effect.replace("_", " "),
@@ -113,7 +113,7 @@ def _draw(figure: Any, history: GapHistory, found: Sequence[FoundRecord]) -> lis
 
 
 def _mark(axes: Any, t_s: float, found: Sequence[FoundRecord]) -> None:
-    """When it came, and from when on the model had it, joined by an arrow; above the lines what it was."""
+    """Mark when an effect came, and when the model had it, joined by an arrow; above them its name."""
     top = axes.get_ylim()[1]
     axes.axvline(t_s, ymax=_LINES, color=VERMILLION, linewidth=1.0)
     after_s = found[0].applied_after_s
@@ -206,7 +206,7 @@ def write_report(run_folder: RunFolder) -> Path:
 
 @dataclass(frozen=True)
 class ReportPictures:
-    """All pictures of a run's report, by the section in which they stand."""
+    """Pictures of a run's report, by their section."""
 
     line: Sequence[Picture]
     found: Sequence[Picture]
@@ -217,7 +217,7 @@ class ReportPictures:
 
     @classmethod
     def of(cls, run_folder: RunFolder, recording: Recording, result: Result) -> Self:
-        """Of what was read from a run folder."""
+        """Pictures of what was read from a run folder."""
         marks = marks_of(result, recording)
         run = run_pictures(recording, marks, recorded_panels(recording).reference(run_folder.config, recording))
         histogram = result.timing.jitter_histogram
@@ -231,7 +231,7 @@ class ReportPictures:
         )
 
     def drawn(self) -> list[Picture]:
-        """Those whose signals are there."""
+        """Pictures whose signals are there."""
         pictures = [*self.line, *self.found, *self.run, *self.zooms, *([self.histogram] if self.histogram else [])]
         return [picture for picture in pictures if picture.drawing is not None]
 
@@ -253,7 +253,7 @@ def write_pictures(run_folder: RunFolder, into: Path, form: ImageFormat) -> list
 
 
 def marks_of(result: Result | None, recording: Recording) -> list[Mark]:
-    """What is marked in the pictures: what the result says, or, of an older run, what the signals show."""
+    """Marks in the pictures: by the result, or, of an older run, by the signals."""
     events = result.events if result is not None and result.events is not None else None
     if events is None:
         events = [EventRecord.of(event) for event in find_events(recording.channels)]
@@ -265,7 +265,7 @@ def marks_of(result: Result | None, recording: Recording) -> list[Mark]:
 
 
 def _facts(result: Result, recording: Recording) -> list[str]:
-    """What was run, in short."""
+    """Facts of the run, in short."""
     duration_s = recording.time_s[-1] - recording.time_s[0]
     facts = [f"{duration_s:.1f} s of bus time", f"{recording.samples} cycles of {result.timing.cycle_us / 1000:g} ms"]
     facts.append(f"pace {result.timing.pace}")
@@ -290,13 +290,13 @@ def _summary(result: Result) -> str:
 
 
 def _reason(criterion: CriterionResult) -> str:
-    """Beside the verdict: which step it is of, and what is to be said of it."""
+    """Text beside the verdict: step of the criterion, and reason."""
     parts = [f"step {criterion.step}"] if criterion.step and criterion.value is not None else []
     return "; ".join([*parts, criterion.reason] if criterion.reason else parts)
 
 
 def _warnings(result: Result) -> list[tuple[str, ...]]:
-    """What the timing says of the whole run, then each kind of warning with its count."""
+    """Warnings about the timing of the whole run, then each kind of warning with its count."""
     rows: list[tuple[str, ...]] = [("", "", text, "", "") for text in result.timing.warnings()]
     for warning in result.warnings or []:
         last = "" if warning.last_text in (None, warning.text) else f"; the last: {warning.last_text}"

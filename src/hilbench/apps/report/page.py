@@ -3,7 +3,7 @@
 Whatever comes from a file is escaped by the templates; only pictures and scripts of our own are markup. The page's
 policy lets no other script run than those that make its pictures interactive on the screen: zoom, cursor and live
 values, by uPlot, inside the page. A signal is reduced to the least and the largest value of each stretch of samples, at
-full resolution around the steps: no spike is lost. Without a script, and on paper, the drawn pictures stand there as
+full resolution around the steps: no spike is lost. Without a script, and on paper, the drawn pictures are there as
 they are.
 """
 
@@ -42,7 +42,7 @@ _MOST_FINE: Final = 50
 _ZOOM_BEFORE_S: Final = 0.3
 #: Buttons for steps; of a run with more the first.
 _MOST_BUTTONS: Final = 20
-#: What stands where there is no number.
+#: Text where there is no number.
 DASH: Final = "–"
 _POWER: Final = re.compile(r"(?<=\d)e([+-]\d+)")
 _SUPERSCRIPT: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -70,7 +70,7 @@ class Program:
     data: Any
 
     def markup(self) -> str:
-        """What stands at the end of the page."""
+        """Markup at the end of the page."""
         text = json.dumps(self.data, separators=(",", ":"), allow_nan=False)
         inert = text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
         programs = "".join(f"<script>{each}</script>\n" for each in scripts(self.file))
@@ -205,7 +205,7 @@ def quantity(value: float | None, unit: str) -> str:
 
 
 def number(value: float | None, significant: int = 4) -> str:
-    """A number for the eye: `significant` digits, but never fewer than stand before the decimal point."""
+    """A number for the eye: `significant` digits, but never fewer than before the decimal point."""
     if value is None:
         return DASH
     if value == 0:

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 #: Strokes and gaps: of commands, of set-points and what is not estimated.
 COMMAND_DASH: Final = (4.0, 4.0)
 DASHED: Final = (4.0, 2.0)
-#: Stands for what the published synchronizer would have made of a run.
+#: In place of the estimate that the published synchronizer would have made of a run.
 REFERENCE: Final = "reference"
 
 #: Time over which velocities and torques are averaged for the eye, s (the publication: 20 values, 20 ms apart).
@@ -81,10 +81,10 @@ AVERAGED: Final[Values] = ShownRun.averaged
 
 @dataclass(frozen=True)
 class Series:
-    """How one signal is drawn: its name beside it ("": none), and what of it a report shows (`values`); of a noisy one
+    """Drawing of one signal: its name beside it ("": none), and what of it a report shows (`values`); of a noisy one
     (`spread`) paper has the area between its extremes.
 
-    `deviation`: the signal of its standard deviation where it is shown only while that is finite (`told`), or only
+    `deviation`: the signal of its standard deviation where it is shown only while that is finite (`estimated`), or only
     while it is infinite.
     """
 
@@ -97,16 +97,16 @@ class Series:
     spread: bool = False
     values: Values = AS_RECORDED
     deviation: str = ""
-    told: bool = True
+    estimated: bool = True
 
     def curve(self, run: ShownRun, si_per_unit: float) -> Curve | None:
-        """Of a run, in a unit of so many SI units; None where there is nothing to show."""
+        """Curve of a run, in a unit of so many SI units; None where there is nothing to show."""
         if self.signal not in run:
             return None
         values = self.values(run, self.signal) / si_per_unit
-        is_shown = np.full(len(values), self.told)
+        is_shown = np.full(len(values), self.estimated)
         if self.deviation in run:
-            is_shown = np.isinf(run.get(self.deviation)) != self.told
+            is_shown = np.isinf(run.get(self.deviation)) != self.estimated
         if not is_shown.any():
             return None
         values = values if is_shown.all() else np.where(is_shown, values, np.nan)
@@ -124,8 +124,8 @@ class Interval:
     deviation: str = ""
 
     def band(self, run: ShownRun, si_per_unit: float) -> Band | None:
-        """Of a run, in a unit of so many SI units; None where signals are missing. No band is drawn where the deviation
-        is infinite."""
+        """Band of a run, in a unit of so many SI units; None where signals are missing. No band is drawn where the
+        deviation is infinite."""
         if self.signal not in run or (self.deviation and self.deviation not in run):
             return None
         values = run.get(self.signal) / si_per_unit
@@ -153,7 +153,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Compared:
-    """What runs are compared by: the first of the signals that a run has, as `values` of it (None: it has none)."""
+    """Quantity by which runs are compared: the first of the signals that a run has, as `values` of it (None: none)."""
 
     title: str
     signals: Sequence[str]
@@ -198,7 +198,7 @@ class Panel:
 
     @property
     def label(self) -> str:
-        """Of the axis."""
+        """Label of the axis."""
         return f"{self.quantity} in {self.unit}"
 
     def words(self, run: ShownRun) -> str:
@@ -206,7 +206,7 @@ class Panel:
         return f"{self.caption} {self.with_reference if run.reference is not None else ''}".strip()
 
     def charts(self, run: ShownRun) -> list[Chart]:
-        """What a recording has of it, axes one below the other."""
+        """Charts of a recording, axes one below the other."""
         if any(name not in run for name in self.needs):
             return []
         curves = [curve for each in self.series if (curve := each.curve(run, self.si_per_unit)) is not None]
@@ -221,7 +221,7 @@ class Panel:
         """Heading and values of its row, of the `known` signals; None without one."""
         if self.row is None:
             return None
-        shown = [each for each in self.series if each.told and each.signal in known]
+        shown = [each for each in self.series if each.estimated and each.signal in known]
         names = [text_of_deviation(getattr(sample, each.deviation)) if each.deviation else each.name for each in shown]
         signals = [each.signal for each in shown]
         if self.row.signal:
@@ -234,7 +234,7 @@ def estimate(
     quantity: MainQuantity, name: str, title: str, caption: str, row: Row, *, reference: str = "", **further: Any
 ) -> Panel:
     """Panel of what the twin estimates of a quantity of the emulated machine: its truth with the band that a criterion
-    goes by, and two standard deviations where the twin states one; at least as high as that band. Where nothing tells
+    goes by, and two standard deviations where the twin states one; at least as high as that band. Where nothing shows
     it, the legend says that it is the model's."""
     signal, deviation = quantity.twin_signal, quantity.twin_deviation
     series = (
@@ -242,7 +242,7 @@ def estimate(
         *((Series(REFERENCE, "PID", SKY),) if reference else ()),
         Series(signal, ESTIMATED, VERMILLION, deviation=deviation),
         *(
-            (Series(signal, OF_THE_MODEL, VERMILLION, dash=DASHED, deviation=deviation, told=False),)
+            (Series(signal, OF_THE_MODEL, VERMILLION, dash=DASHED, deviation=deviation, estimated=False),)
             if deviation
             else ()
         ),
@@ -276,16 +276,16 @@ class MachinePanels:
 
     @property
     def pictures(self) -> Iterator[Panel]:
-        """Those of a report."""
+        """Panels of a report."""
         return (panel for panel in self.panels if panel.caption)
 
 
 def panels_of(kind: str, shape: Shape) -> MachinePanels:
-    """Those of a kind of machine with these parts."""
+    """Panels of a kind of machine with these parts."""
     panels: MachinePanels = machine_part(kind, "panels")(shape)
     return panels
 
 
 def recorded_panels(recording: Recording) -> MachinePanels:
-    """Those of the machine whose signals are recorded."""
+    """Panels of the machine whose signals are recorded."""
     return panels_of(kind_of(recording.channels), shape_of(recording.channels))

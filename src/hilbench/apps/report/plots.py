@@ -93,11 +93,11 @@ class Picture:
 
     @cached_property
     def svg(self) -> str:
-        """As SVG text for a page; "" where signals are missing."""
+        """SVG text for a page; "" where signals are missing."""
         return "" if self.drawing is None else self.drawing.for_page()
 
     def as_file(self, form: ImageFormat) -> bytes:
-        """As a file of its own. Raises ValueError where signals are missing."""
+        """Picture as a file of its own. Raises ValueError where signals are missing."""
         if self.drawing is None:
             raise ValueError(f"a picture that can be drawn, {self.name} lacks signals")
         return self.drawing.as_file(form)
@@ -175,7 +175,7 @@ class DrawnAxes:
 
 
 def _values_at(mark: Mark, curve: Curve) -> Array:
-    """What a curve does from a step or event on."""
+    """Values of a curve from a step or event on."""
     if mark.lasts:
         return np.empty(0)
     first, last = np.searchsorted(curve.t_s, (mark.start_s, mark.end_s + ZOOM_AFTER_S))
@@ -202,7 +202,7 @@ def _apart(places: Sequence[float], gap: float) -> list[float]:
 def run_pictures(recording: Recording, marks: Sequence[Mark] = (), reference: Array | None = None) -> list[Picture]:
     """The pictures of the experiment, those of its kind of machine, each of the signals the recording has.
 
-    `reference`: what the published synchronizer would have made of the run.
+    `reference`: estimate that the published synchronizer would have made of the run.
     """
     breaks = sorted({int(at) for mark in marks for at in np.searchsorted(recording.time_s, (mark.start_s, mark.end_s))})
     run = ShownRun(recording, breaks, reference)
@@ -213,7 +213,7 @@ def run_pictures(recording: Recording, marks: Sequence[Mark] = (), reference: Ar
 
 
 def zooms(pictures: Sequence[Picture], marks: Sequence[Mark]) -> list[Picture]:
-    """What matters most around each step, for paper; the first steps of a run with many."""
+    """Pictures of the surroundings of each step, for paper; the first steps of a run with many."""
     wanted = [picture for picture in pictures if picture.zoomed and picture.charts]
     found: list[Picture] = []
     steps = [mark for mark in marks if mark.number]
@@ -320,7 +320,7 @@ def _draw_marks(marks: Sequence[Mark], panels: Sequence[DrawnAxes], *, texts: bo
 
 
 def _write_texts(marks: Sequence[Mark], axes: Any) -> None:
-    """What happened, above the axes; of many the numbers, and of those that would overlap the first."""
+    """Write the events above the axes; of many the numbers, and of those that would overlap the first."""
     steps = sum(bool(mark.number) for mark in marks)
     first_s, last_s = axes.get_xlim()
     free_s = first_s
@@ -345,7 +345,7 @@ _DOTS_PER_INCH: Final = 200
 
 @dataclass(frozen=True)
 class Drawing:
-    """What `draw` draws on a figure of page width, `height_in` inches high; `name` keeps its identifiers apart from
+    """Drawing by `draw` on a figure of page width, `height_in` inches high; `name` keeps its identifiers apart from
     others' on a page, `title` says what it is to who can't see it."""
 
     draw: Callable[[Any], list[DrawnAxes]]
@@ -361,7 +361,7 @@ class Drawing:
         return _for_page(text.getvalue(), self.name, self.title)
 
     def as_file(self, form: ImageFormat) -> bytes:
-        """The same as a file of its own: on white, its colours in it."""
+        """Drawing as a file of its own: on white, its colours in it."""
         meta = {"svg": {"Date": None, "Creator": None, "Title": self.title}, "png": {"Software": None}}
         with self._figure() as figure:
             image = io.BytesIO()
@@ -397,7 +397,7 @@ _NUMBER = re.compile(r"-?\d+\.\d{3,}")
 def _for_page(svg: str, name: str, title: str) -> str:
     """The bare <svg> element: page colours, coordinates to a hundredth of a point, scaled to the page's width.
 
-    Identifiers get the picture's name in front, as several pictures stand in one page; the style element goes, as
+    Identifiers get the picture's name in front, as several pictures are in one page; the style element goes, as
     it would hold for the whole page.
     """
     body = svg[svg.index("<svg") :]

@@ -35,7 +35,7 @@ _CAPTION: Final = (
 )
 #: Sizes in units of the drawing, which is as wide as the line is long.
 _DRIVEN, _IDLER, _REEL, _FREE, _HANGS = 0.34, 0.2, 0.62, 2.5, 1.8
-#: A shorter line stands in the middle: its rollers are no larger than those of others.
+#: A shorter line is in the middle: its rollers are no larger than those of others.
 _NARROWEST: Final = 9.0
 _MOST_STRANDS: Final = 4
 _MEAN_S: Final = 1.0
@@ -43,7 +43,7 @@ _MEAN_S: Final = 1.0
 
 @dataclass(frozen=True)
 class LineNotes:
-    """What is written beside a line: names of its driven axes, which of them carry load motors, and by span, from 1,
+    """Notes beside a line: names of its driven axes, which of them carry load motors, and by span, from 1,
     tensions and set-points in N."""
 
     axes: Sequence[str] = ()
@@ -65,7 +65,7 @@ class DrawnRoller:
 
     @property
     def is_reel(self) -> bool:
-        """Whether the web ends on it."""
+        """True if the web ends on it."""
         return isinstance(self.roller.station, Reel)
 
 
@@ -161,7 +161,7 @@ def web_path(circles: Sequence[DrawnRoller], end: float) -> list[tuple[float, fl
 
 
 def _contact_points(circle: DrawnRoller) -> list[tuple[float, float]]:
-    """Where the web touches it, in its direction."""
+    """Points at which the web touches a roller, in its direction."""
     if circle.hangs:
         angles = np.linspace(pi, 2 * pi, 13)
     else:
@@ -209,13 +209,13 @@ def _write_span(axes: Any, model: ModelParameters, notes: LineNotes, before: Dra
         number = span if leftmost else behind.span - 1
         text = f"span {number}" + "".join(f"\n{notes.tensions_N[n]:.1f} N" for n in (number,) if n in notes.tensions_N)
         beside = before if leftmost else behind
-        # A reel reaches so far down that its name stands there.
+        # A reel reaches so far down that its name is there.
         y = beside.y - beside.r - 0.62 if beside.is_reel else -0.75 * _HANGS
         axes.text(x, y, text, ha=side, va="center", fontsize=8, color=VERMILLION)
 
 
 def _draw_carriage(axes: Any, hanging: Sequence[DrawnRoller]) -> None:
-    """What carries the rollers that hang, its name, and the way which lengthens the web."""
+    """Draw the carriage of the hanging rollers, its name, and the direction which lengthens the web."""
     station = hanging[0].roller.station
     assert isinstance(station, CarriageStation)
     low, left, right = hanging[0].y, hanging[0].x, hanging[-1].x

@@ -38,7 +38,7 @@ class StepResponse:
     """Response to a step change: the whole recording, time of the step (s of experiment time), and metrics.
 
     Metrics are those of `hilbench.runs.metrics.METRICS` that a recording decides, of this step alone; `not_judged`
-    gives the reasons for missing ones, and so does the error when one is asked for.
+    gives the reasons for missing ones, and so does the error when one is read.
     """
 
     recording: Recording
@@ -70,9 +70,9 @@ class Bench(bench.Bench):
 
     `bus`, `pace`, `seed` and `changes` (texts ``KEY=VALUE``) are what ``hilbench run`` takes. Raises UnusableInputError
     for a config that cannot be used, before anything is started; entering raises it for a bus that has another master
-    (`force`: unless it was only heard). Steps and criteria of the file are left alone.
+    (`force`: unless it was only received). Steps and criteria of the file are left alone.
 
-    What an operator must know (`notices`) is told on standard error, or to `announce`.
+    What an operator must know (`notices`) is printed on standard error, or to `announce`.
 
     With `out`, entering makes a run folder there (`folder`), as ``hilbench run`` does, with config, trace and journal;
     leaving adds recording and result. In the result what ended the bench is a fault, but for a failed assertion, and

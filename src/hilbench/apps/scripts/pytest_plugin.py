@@ -94,7 +94,7 @@ def _reason(report: pytest.TestReport) -> str:
 
 
 def _bus_of_its_own(config: Path, changes: list[str]) -> str | None:
-    """For a bench on the embedded bus without a name; None: the config's."""
+    """Bus of its own for a bench on the embedded bus without a name; None: the config's."""
     from hilbench.runs.config import bus_of_folder, load_with_overrides
 
     address = load_with_overrides(config, changes=changes).config.bus.address

@@ -21,7 +21,7 @@ from hilbench.topology.signal_kinds import TIME, Signal
 #: Entry points of the sinks of other packages, by kind.
 SINKS: Final = "hilbench.sinks"
 _LOOPBACK: Final = "127.0.0.1"
-#: The ports at which these tools look unless told otherwise.
+#: The default ports of these tools.
 _PORTS: Final = {"foxglove": 8765, "plotjuggler": 9870, "mqtt": 1883}
 _EXPECTED: Final = "expected FILE.mcap, foxglove, plotjuggler or mqtt, the last three with :HOST:PORT where need be"
 _NANOSECONDS: Final = 1e9
@@ -39,7 +39,7 @@ class Target:
     path: Path = Path()
     host: str = _LOOPBACK
     port: int = 0
-    address: str = ""  #: for a sink of another package, what stands behind the colon
+    address: str = ""  #: for a sink of another package, the text behind the colon
 
     @property
     def may_wait(self) -> bool:
@@ -154,7 +154,7 @@ class Sink(Protocol):
         """The values of one cycle, in the order of the signals."""
 
     def close(self) -> None:
-        """There are no more."""
+        """Close: there are no more samples."""
 
 
 def open_sink(target: Target, signals: Sequence[Signal], bench: str, began_s: float) -> Sink:

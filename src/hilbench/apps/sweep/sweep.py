@@ -240,7 +240,7 @@ class Sweep:
         return {row.number: row for row in rows}
 
     def run(self, jobs: int, done: Callable[[Row], None], cluster: str | None = None) -> None:
-        """Do what is left, `jobs` at a time; `done` is told of each row. Ctrl-C ends the runs that are under way.
+        """Do what is left, `jobs` at a time; `done` gets each row. Ctrl-C ends the runs that go on.
 
         `cluster`: address of a running Dask scheduler, whose workers do the runs instead, as many at a time as they
         have threads. They need this hilbench, and the config and the sweep's folder under the same paths. Runs that
@@ -259,7 +259,7 @@ class Sweep:
             self._run_there(left, cluster, done)
 
     def _run_here(self, left: Sequence[Job], jobs: int, done: Callable[[Row], None]) -> None:
-        """In copies of this process, which has loaded what each of them needs."""
+        """Run jobs in forks of this process, which has loaded what each of them needs."""
         if len(left) > 1:
             self._load()
         waiting, running = deque(left), dict[int, _Running]()

@@ -124,7 +124,7 @@ def _show(comparison: Comparison, page: Path | None, as_json: bool) -> None:
 
 
 def as_data(comparison: Comparison) -> dict[str, Any]:
-    """What `--json` prints; names with units, None where there is no true E or no finite value."""
+    """Data that `--json` prints; names with units, None where there is no true E or no finite value."""
     return {
         "torque_noise_Nm": comparison.noise_Nm,
         "step_s": comparison.step_s,

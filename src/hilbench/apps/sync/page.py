@@ -1,4 +1,4 @@
-"""What a comparison of synchronizers leaves in a folder: a page with a table and pictures, and the estimates as CSV."""
+"""Files of a comparison of synchronizers: a page with a table and pictures, and the estimates as CSV."""
 
 from __future__ import annotations
 

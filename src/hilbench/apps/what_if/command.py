@@ -94,7 +94,7 @@ def _run(run: Path, bus: str | None, at: float | None) -> tuple[str, ExperimentC
 
 
 def _running(path: Path, bus: str | None, at_s: float | None) -> tuple[str, ExperimentConfig, Recording]:
-    """The same of a bench that runs, as it is received on its bus."""
+    """Recording of a bench that runs, as it is received on its bus."""
     from contextlib import closing
 
     from hilbench.apps.monitor.changes import PATIENCE_S
@@ -114,7 +114,7 @@ def _running(path: Path, bus: str | None, at_s: float | None) -> tuple[str, Expe
 
 
 def lines(answer: Answer) -> list[str]:
-    """What was asked, a text each."""
+    """Commanded moves, a text each."""
     texts = []
     for move in answer.moves:
         lasts = f" within {move.end_s - move.start_s:.3g} s" if move.end_s > move.start_s else ""

@@ -71,8 +71,8 @@ def _extent(low: Array, high: Array, levels: Sequence[float]) -> tuple[float, fl
 
 
 def rows_of(outlook: Outlook) -> list[Summary]:
-    """Of each quantity: median, low and high (90 % of the futures) of its largest size, and of its value at the end;
-    the probability of the lowest level that it has."""
+    """Rows of each quantity: median, low and high (90 % of the futures) of its largest size, and of its value at the
+    end; the probability of the lowest level that it has."""
     found: list[Summary] = []
     for place, watched in enumerate(outlook.watched):
         largest = np.quantile(outlook.largest[:, place], (0.5, 0.05, 0.95)).tolist()

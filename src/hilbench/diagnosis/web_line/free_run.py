@@ -30,18 +30,18 @@ from hilbench.plant.web_line.sizes import machine_sizes
 
 Array = NDArray[np.float64]
 
-#: Speed from which a recording counts as begun under way.
+#: Speed from which a recording counts as begun in motion.
 _MOVES_M_S: Final = 10.0 * FRICTION_WIDTH_M_S
 #: How long standstill acts on what comes after it, s, and the share of a recording that may be left out for it.
 _MOVING_S: Final = 0.25
 _MOSTLY: Final = 0.6
 #: Positions are compared without what is slower than this, s, and believed to this share of what the web in the span is
-#: stretched by: in a closed loop they tell so much that the rounding of a command would be found as an effect.
+#: stretched by: in a closed loop they show so much that the rounding of a command would be found as an effect.
 _WINDOW_S: Final = 2.0
 _TOLERANCE: Final = 0.007
 #: The same on a bench of which it is not known what its drives make of a command.
 _UNROUNDED_TOLERANCE: Final = 0.035
-#: Web transports (L/v) until the guess of a strain under way is forgotten.
+#: Web transports (L/v) until the guess of a strain in motion is forgotten.
 _TRANSPORTS: Final = 6.0
 #: Cycle in which commands of a coarser recording may have changed in truth.
 _FINE_S: Final = 0.002
@@ -165,7 +165,7 @@ class FreeRun:
         return found
 
     def _usable(self, data: Measured) -> NDArray[np.bool_]:
-        """Not the transients of a start under way; not standstill, where dry friction is not one law but many.
+        """Rows without the transients of a start in motion, and without standstill, where dry friction is not one law.
 
         What happens there is forgotten `_MOVING_S` after the axes move again.
         """
@@ -257,10 +257,10 @@ class FreeRun:
 
     def _slow_modes(self, parameters: Array) -> tuple[Array, Array]:
         """(modes, signals, n) each: what another integral of the loop of each axis does that the web pulls at, at the
-        start and from each push on, and what tells how much.
+        start and from each push on, and what shows how much.
 
         With a stiff web the loop forgets that only over E·S/(v·ki·(i/r)²), which is seconds; and nobody knows
-        it to better than what the torque swings by. Of what a model may lack only creep makes it much quicker.
+        it to better than the oscillation of the torque. Of what a model may lack only creep makes it much quicker.
         """
         creep = lay.Layout.of(parameters).span_rows(parameters).web_slip.creep_per_N
         key = tuple(np.round(creep / _CREEP_STEP).astype(int).tolist())
@@ -326,8 +326,8 @@ class FreeRun:
         return changed
 
     def _stretch_m(self, name: str) -> float:
-        """Of a row of positions what the web is usually longer by than it would be at rest, in the span that it is the
-        difference of; 0 of other rows."""
+        """Usual elongation of the web over that at rest in the span whose positions make up this row; 0 of other
+        rows."""
         if not name.startswith(("x", "(")):
             return 0.0
         strain = machine_sizes(self._model, 1).strain
@@ -376,13 +376,13 @@ def of_span(model: ModelParameters, span: int) -> str:
 
 
 def remembered_m(model: ModelParameters, transports: float) -> float:
-    """Way of the web until a strain at the start is forgotten: so many lengths of a span, behind those before it."""
+    """Travel of the web until a strain at the start is forgotten: so many lengths of a span, behind those before it."""
     lengths = [model.span_length_m(span) for span in range(1, model.span_count + 1)]
     return sum(lengths) + (transports - 1.0) * max(lengths)
 
 
 def between(rows: Array, whole: int) -> Array:
-    """What a piecewise linear signal (n, m), known at every `whole`-th time, was in between: (n, whole, m).
+    """Interpolate a piecewise linear signal (n, m), known at every `whole`-th time: (n, whole, m).
 
     A corner between two rows lies where the lines through the rows before and behind meet; it matters because a drive's
     position is the integral of its command. Without two straight pieces that meet in between, the rows are joined.

@@ -1,7 +1,7 @@
-"""Are the drives' loops those of the model? From what each drive was told, how it moved and what torque it made.
+"""Check of the drives' loops against the model, from command, motion and torque of each drive.
 
 A velocity loop is known from these three alone, whatever hangs on its shaft: torque = lag(kp·e + ki·∫e), e the speed
-that was asked for less the one that was measured. Gains by linear least squares, the lag of the current loop, in which
+that was commanded less the one that was measured. Gains by linear least squares, the lag of the current loop, in which
 the torque is not linear, by search.
 """
 
@@ -163,7 +163,7 @@ def loop_of(
     if mine - square > _DIFFERENT:
         beside = np.array([of_rows(each) for each in drive.fed_forward])
         with_mine, shares = fitted(beside, rest)
-        # What is left out of the torque is missing in both: what the loops made of it, and what the motion needs.
+        # What is left out of the torque is missing in both: the answer of the loops, and what the motion needs.
         left_out = float(shares[0])
         is_fed_forward = bool(
             with_mine < _UNDERSTOOD**2 * len(torque)

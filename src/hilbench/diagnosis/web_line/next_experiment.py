@@ -21,7 +21,7 @@ Profile = tuple[Array, Sequence[float], Sequence[float], Sequence[float | None]]
 
 
 def line_signals(profile: Profile, found: Diagnosis, tension_N: float | None) -> Callable[[list[Machine]], Array]:
-    """What models (B,) make of the signals of a line that is commanded a profile (B, signals·n), in units of the noise.
+    """Prediction by models (B,) of the signals of a line under a profile (B, signals·n), in units of the noise.
 
     `tension_N`: usual set point; None where none may be set.
     """

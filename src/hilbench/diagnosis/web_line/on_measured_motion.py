@@ -51,7 +51,7 @@ _WIDER: Final = 1.3
 _OF_NYQUIST: Final = 0.95
 #: Web transports (lengths of the span) after which the strain at the start is forgotten.
 _TRANSPORTS: Final = 4.0
-#: Cycle in which commands change at most, s, and the share of the inertia that torques read in step with it can't tell.
+#: Cycle in which commands change at most, s, and the share of the inertia that torques read in step with it can't show.
 _COMMANDS_S: Final = 0.002
 _IN_STEP: Final = 0.007
 #: Time within a sample of a drive at which its torque may have been read, s.
@@ -63,9 +63,9 @@ class LineOnMeasuredMotion:
 
     Rows are read at one instant for all channels, but not always when they say: what all axes have in common then has
     the noise of that time, what they differ by has not. So mean motion and differences from it are smoothed each for
-    itself, the acceleration of the mean from positions or speeds, whichever tell it better.
+    itself, the acceleration of the mean from positions or speeds, whichever show it better.
 
-    Without all positions the strain is not known: a way that is added up from speeds drifts by more than the web is
+    Without all positions the strain is not known: a travel that is added up from speeds drifts by more than the web is
     stretched. What is left is the sum of the torques, in which the tensions between the rollers are not.
     """
 
@@ -102,14 +102,14 @@ class LineOnMeasuredMotion:
         self.tolerances = np.zeros(len(self.names))
         self.rows = self._usable()
         self._sampling = self._in_step()
-        measured = thinning.apply(rows)
+        measured, cycle_s = thinning.apply(rows), min(data.period_s, _COMMANDS_S)
         for k, axis in enumerate(self._torques):
-            measured[k] -= sampling_bias_Nm(model, axis, self._cycle_s) * self._at_rows(self._a[:, axis - 1])
+            measured[k] -= sampling_bias_Nm(model, axis, cycle_s) * self._at_rows(self._a[:, axis - 1])
         self._by_model = self._above_the_calm(lay.pack(model))
         self.measured = self._discounted(self._mix(measured) - self._by_model)
 
     def _usable(self) -> NDArray[np.bool_]:
-        """Not standstill, where dry friction is not one law; not while the first strain is remembered; not the ends."""
+        """Rows without standstill, where dry friction is not one law, the time of the first strain, and the ends."""
         data, every = self._data, self.every
         reach_s = self._thinning.reach_s + _NEAR_S
         reach = round(reach_s / self._fine_s)
@@ -126,7 +126,7 @@ class LineOnMeasuredMotion:
     def _above_the_calm(self, parameters: Array) -> Array:
         """(signals, n): what the measured motion needs by parameters (P,) more than its calm part."""
         motions = self._measured_motion, (self._x, self._v, self._a)
-        runs = [self._moved_by(parameters[None], *motion) for motion in motions]
+        runs = [self._run(parameters[None], motion) for motion in motions]
         return np.asarray((self._signals(runs[0]) - self._signals(runs[1]))[0])
 
     def quick(self, parameters: Array) -> Array:
@@ -134,15 +134,11 @@ class LineOnMeasuredMotion:
         the model."""
         return self._discounted(self._above_the_calm(parameters) - self._by_model)
 
-    @property
-    def _cycle_s(self) -> float:
-        return min(self._data.period_s, _COMMANDS_S)
-
     def _at_rows(self, fine: Array) -> Array:
         return self._thinning.apply(fine, self._whole)
 
     def _in_step(self) -> list[list[Array]]:
-        """Of each torque the shapes, in noise floors, that are known only up to a share: it is read in step with the
+        """Shapes of each torque, in noise floors, that are known only up to a share: it is read in step with the
         drive's cycle (the acceleration), and at some time of a drive's sample (its own rate)."""
         shapes = [
             _IN_STEP * Nm_per_acceleration(self._model, axis) * self._at_rows(self._a[:, axis - 1])
@@ -156,7 +152,7 @@ class LineOnMeasuredMotion:
         return found
 
     def _read_late(self, run: RequiredTorques) -> list[Array]:
-        """By how much each torque (n,) is less where it is read later, by a deviation of that time."""
+        """Fall of each torque (n,) where it is read later, by a deviation of that time."""
         rates = np.gradient(run.tau_Nm[0], self._fine_s, axis=0)
         return [_READ_S * self._at_rows(rates[:, axis - 1]) for axis in self._torques]
 
@@ -257,15 +253,13 @@ class LineOnMeasuredMotion:
         rows = [run.tau_Nm[..., axis - 1] for axis in self._torques] + [run.F_N[..., k - 1] for k in self._tensions]
         stacked = np.stack(rows, axis=1)
         if self.every == 1 and self._whole > 1:
-            # No filter stands before the rows. What is faster than the motion that they can show (a ripple) is answered
-            # by motion that nobody has seen, and hardly by the torque: without it a ripple would fold back.
+            # There is no filter before the rows. What is faster than the motion that they can show (a ripple) is
+            # answered by motion that nobody has seen, and hardly by the torque: without it a ripple would fold back.
             stacked = low_passed(stacked, self._fine_s, self._band_Hz)
         return self._mix(self._thinning.apply(stacked, self._whole))
 
-    def _run(self, parameters: Array) -> RequiredTorques:
-        return self._moved_by(parameters, self._x, self._v, self._a)
-
-    def _moved_by(self, parameters: Array, x_m: Array, v_m_s: Array, a_m_s2: Array) -> RequiredTorques:
+    def _run(self, parameters: Array, motion: tuple[Array, Array, Array] | None = None) -> RequiredTorques:
+        x_m, v_m_s, a_m_s2 = motion or (self._x, self._v, self._a)
         return required_torques(parameters, self._model, x_m, v_m_s, a_m_s2, self._boundary, self._fine_s)
 
 
@@ -352,7 +346,7 @@ class _Noise:
 
 
 def sampling_bias_Nm(model: ModelParameters, axis: int, cycle_s: float) -> float:
-    """By how much a torque that is read at the end of each cycle is off its mean, N·m per m/s² of the axis.
+    """Bias of a torque that is read at the end of each cycle against its mean, N·m per m/s² of the axis.
 
     In a ramp the command steps once a cycle while the speed grows steadily: the torque jumps and falls within it, and
     one that is read always at its end, just before the next command, is the least of it.

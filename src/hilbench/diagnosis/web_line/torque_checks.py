@@ -47,7 +47,8 @@ class SlowMotion:
     def of(
         cls, x: Mapping[int, Array], v: Mapping[int, Array], tau_Nm: Mapping[int, Array], period_s: float, usable: Rows
     ) -> SlowMotion:
-        """From positions, speeds where there are none, and torques; `usable` (n,): rows as they were measured."""
+        """Slow motion by positions, speeds where there are none, and torques; `usable` (n,): rows as they were
+        measured."""
         band_Hz, step = (SLOW_HZ, 2.0 * SLOW_HZ), max(1, round(_SLOW_ROW_S / period_s))
         rows = np.flatnonzero(usable)[::step]
         rows = rows[(rows > step * _FROM_ENDS) & (rows < len(usable) - step * _FROM_ENDS)]

@@ -39,9 +39,9 @@ class AugmentedFilter:
     """Augmented-state Kalman filter with change detection.
 
     `start` (n, n): initial covariance; `parameters` (n,): which unknowns are parameters; `rates` (n,): deviations of
-    their change per m, 0 without; `offsets` (m,): deviations of slow measurement errors; `swings` (m,): share of a
-    change's innovations that counts as measurement error of the transient; `swings_on` (m,): share of that left per
-    update; `swinging` (m,): its initial deviation.
+    their change per m, 0 without; `offsets` (m,): deviations of slow measurement errors; `transient_shares` (m,): share
+    of a change's innovations that counts as measurement error of the transient; `transient_decay` (m,): share of that
+    left per update; `transients` (m,): its initial deviation.
     """
 
     def __init__(
@@ -50,9 +50,9 @@ class AugmentedFilter:
         parameters: NDArray[np.bool_],
         rates: Vector,
         offsets: Vector,
-        swings: Vector,
-        swings_on: Vector,
-        swinging: Vector,
+        transient_shares: Vector,
+        transient_decay: Vector,
+        transients: Vector,
     ) -> None:
         self._count = n = len(start)
         self.parameters, self._with_rate = np.flatnonzero(parameters), np.flatnonzero(rates)
@@ -72,7 +72,7 @@ class AugmentedFilter:
         self._before = np.zeros((2, len(offsets)))  # innovations less the expected ones, the latest last
         #: True if the innovations were far off for the second time: a sudden change.
         self.has_changed = False
-        self._swings, self._swings_on, self._swing = swings, swings_on, swinging
+        self._transient_shares, self._transient_decay, self._transients = transient_shares, transient_decay, transients
 
     @property
     def has_begun_to_change(self) -> bool:
@@ -142,7 +142,7 @@ class AugmentedFilter:
         self.covariance[others, others] = variances[others]
         self.mean = np.where(back, earlier.mean, 0.0)
         self._far_off = 0
-        self._swing[:] = 0.0
+        self._transients[:] = 0.0
 
     def _of_states(self, of_unknowns: Vector | NDArray[np.bool_]) -> Vector | NDArray[np.bool_]:
         """Stack rows of unknowns (n, …) and once more those of the parameters (p, …)."""
@@ -197,8 +197,8 @@ class AugmentedFilter:
         known = slopes @ self._sums
         known[:, self.first_offset :] = np.eye(len(innovations))
         left = innovations - known @ self.mean
-        self._swing = self._swings_on * self._swing
-        variances = variances + self._swing**2
+        self._transients = self._transient_decay * self._transients
+        variances = variances + self._transients**2
         spread = known @ self.covariance @ known.T + np.diag(variances)
         off = self._is_off(left, known, spread, jumps[1])
         self._far_off = self._far_off + 1 if off else 0
@@ -208,8 +208,8 @@ class AugmentedFilter:
         self._before = np.array([self._before[1], left])
         if self.has_changed:
             self.jump(*jumps)
-            self._swing = self._swings * np.abs(left)
-            variances = variances + self._swing**2
+            self._transients = self._transient_shares * np.abs(left)
+            variances = variances + self._transients**2
             spread = known @ self.covariance @ known.T + np.diag(variances)
             self._far_off = 0
         gain = np.linalg.solve(spread, known @ self.covariance).T

@@ -163,7 +163,7 @@ class ChangepointConfig(OnBalance):
 
 
 class InputConfig(Measured):
-    """For a black-box model: the strain of the web that enters it is corrected; its parameters stay.
+    """Method for a black-box model: the strain of the web that enters it is corrected; its parameters stay.
 
     Measured states are not transferred into it either.
     """

@@ -199,7 +199,7 @@ class JointInitialization:
         share_sd, _, friction_sd, _ = np.sqrt(np.diag(covariance))[:_OTHERS].tolist()
         strain_error = strain_sd = inf
         if share > 0.0:
-            # The next span is told the estimate of all δ.
+            # The next span gets the estimate of all δ.
             mean, slopes = theta[self._strains] / share, np.zeros((len(self._strains), self._unknowns))
             slopes[np.arange(len(mean)), self._strains], slopes[:, _MODULUS] = 1.0 / share, -mean / share
             self._webs.estimates[self._span] = Strains(mean, slopes @ covariance @ slopes.T)

@@ -15,7 +15,7 @@ are turned into forces with.
 Identifiability: at constant speed and tension only the sum of all terms is measured; E and the rest are separated by
 excitation alone. While speed or tension change, all states are estimated. In quiet time only those are whose regressors
 separate them at all times (E, D, rotating terms); the others are considered (Schmidt–Kalman; Schmidt 1966): they keep
-their mean, and count in every gain and in the stated deviation by their covariance. A regressor made of measured
+their mean, and count in every gain and in the stated deviation by their covariance. A regressor of measured
 signals varies in quiet time by nothing but their noise, and would be taken for evidence in minutes (errors in
 variables).
 
@@ -80,8 +80,8 @@ FILTER = np.dtype(
         # Tension at the reference E: of the block before; means over the blocks before the last, and over more of them;
         # what regressors are formed with; its usual value, and mean square deviations from it and from `lagged_N`; time
         # since it was in transition.
-        *record_type("web_before_N", "lagged_N", "mean_N", "regressor_N", "usual_web_N", "web_swing_N2").descr,
-        *record_type("lag_swing_N2", "settled_s", "beyond_N").descr,
+        *record_type("web_before_N", "lagged_N", "mean_N", "regressor_N", "usual_web_N", "web_change_N2").descr,
+        *record_type("lag_change_N2", "settled_s", "beyond_N").descr,
         # Share of the last block at rest; whether all states are estimated; how long the speed still counts as
         # changing, and the speed while it does not; time until the next evaluation of the evidence.
         *record_type("at_rest", "excited", "speeds_up_s", "steady_m_s", "evidence_s").descr,
@@ -105,7 +105,7 @@ _SAME_SPEED_M_S = 0.01
 _STARTS = 0.9
 #: Averaging time of the tension, s; it is changing where it deviates from its mean certainly, and by this share of
 #: itself; averaging time of the deviation, s.
-_MEAN_S, _LEAST_CHANGE, _SWING_S = 5.0, 0.01, 60.0
+_MEAN_S, _LEAST_CHANGE, _CHANGE_S = 5.0, 0.01, 60.0
 #: A tension that deviates from the mean of the previous blocks by more, and by more than usual, is in transition: the
 #: separation of creep and scale then depends on a timing that no measurement resolves.
 _TRANSITION = 0.005
@@ -370,9 +370,9 @@ def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
     f.mean_N += duration_s / (_REGRESSOR_S + duration_s) * (web_N - f.mean_N)
     apart_N = f.mean_N - f.usual_web_N
     least_N2 = (_LEAST_CHANGE * f.tension_N / CERTAIN) ** 2
-    swing_N2 = max(f.web_swing_N2, least_N2)
-    tension_changes = abs(apart_N) > CERTAIN * sqrt(swing_N2) and abs(apart_N) > _LEAST_CHANGE * abs(web_N)
-    f.web_swing_N2 += duration_s / _SWING_S * (min(apart_N * apart_N, MOST_SQUARE * swing_N2) - f.web_swing_N2)
+    change_N2 = max(f.web_change_N2, least_N2)
+    tension_changes = abs(apart_N) > CERTAIN * sqrt(change_N2) and abs(apart_N) > _LEAST_CHANGE * abs(web_N)
+    f.web_change_N2 += duration_s / _CHANGE_S * (min(apart_N * apart_N, MOST_SQUARE * change_N2) - f.web_change_N2)
     f.usual_web_N += duration_s / (_MEAN_S + duration_s) * apart_N
     f.speeds_up_s = max(f.speeds_up_s - duration_s, 0.0)
     starts = abs(f.usual_m_s) <= f.standstill_m_s and f.sums[STUCK] < _STARTS
@@ -382,9 +382,9 @@ def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
         f.steady_m_s = f.usual_m_s
     f.steady_m_s += duration_s / (_MEAN_S + duration_s) * (f.usual_m_s - f.steady_m_s)
     lag_N = web_N - f.lagged_N
-    lag_N2 = max(f.lag_swing_N2, (_TRANSITION * f.tension_N / CERTAIN) ** 2)
+    lag_N2 = max(f.lag_change_N2, (_TRANSITION * f.tension_N / CERTAIN) ** 2)
     f.settled_s = f.settled_s + duration_s if abs(lag_N) < CERTAIN * sqrt(lag_N2) else 0.0
-    f.lag_swing_N2 += duration_s / _MEAN_S * (min(lag_N * lag_N, MOST_SQUARE * lag_N2) - f.lag_swing_N2)
+    f.lag_change_N2 += duration_s / _MEAN_S * (min(lag_N * lag_N, MOST_SQUARE * lag_N2) - f.lag_change_N2)
     f.excited = 1.0 if f.speeds_up_s > 0.0 or (tension_changes and f.settled_s > _SETTLES_S) else 0.0
     f.lagged_N += duration_s / (_LAG_S + duration_s) * (f.web_before_N - f.lagged_N)
     f.web_before_N = web_N

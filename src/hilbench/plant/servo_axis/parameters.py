@@ -32,7 +32,7 @@ class ShaftParameters(Block):
     """Load of the motor."""
 
     inertia_kg_m2: NotNegative = Field(description="of what the motor turns, without its rotor (motor.inertia_kg_m2)")
-    coulomb_friction_Nm: NotNegative = Field(default=0.0, description="dry friction; it holds a shaft that stands")
+    coulomb_friction_Nm: NotNegative = Field(default=0.0, description="dry friction; it holds a shaft at rest")
     viscous_friction_Nm_s_per_rad: NotNegative = Field(default=0.0, description="friction in proportion to the speed")
     unbalance_Nm: NotNegative = Field(
         default=0.0, description="amplitude of the torque A·sin(phi + phi0), phi the angle of what is unbalanced"

@@ -54,13 +54,13 @@ def reported_torque_Nm(
 
 
 @inlined
-def _swung(axis: Record, swing: tuple[float, float], a_before: float, a: float, period_s: float) -> tuple[float, float]:
+def _turned(axis: Record, twist: tuple[float, float], before: float, a: float, period_s: float) -> tuple[float, float]:
     """Twist of a shaft and its rate a row later, the motor's acceleration linear between the two rows."""
-    q, w = swing
-    count = laws.swing_steps(axis, period_s)
-    h, slope = period_s / count, (a - a_before) / count
+    q, w = twist
+    count = laws.resonance_steps(axis, period_s)
+    h, slope = period_s / count, (a - before) / count
     for step in range(count):
-        first = a_before + step * slope
+        first = before + step * slope
         middle, last = first + 0.5 * slope, first + slope
         b1 = laws.acceleration_behind(axis, q, w) - first
         w2 = w + 0.5 * h * b1
@@ -89,7 +89,7 @@ def _required_torque_Nm(
     late, half_play = motor.torque_delay.delay_s / period_s, 0.5 * axis.backlash.gap_rad / motor.rad_per_m
     turns_over = presliding_m > 0.0 or half_play > 0.0
     presliding, deflection, before = max(presliding_m, LEAST_PRESLIDING), 0.0, x_m[0]
-    swing, a_before = (0.0, 0.0), 0.0
+    twist, a_before = (0.0, 0.0), 0.0
     for k in range(len(x_m)):
         at = min(max(k - late, 0.0), len(x_m) - 1.0)
         motion = true_motion(motor, value_at(x_m, at), value_at(v_m_s, at), value_at(a_m_s2, at))
@@ -105,11 +105,11 @@ def _required_torque_Nm(
         of_all = a
         if axis.resonance.inertia_share != 0.0:
             if k == 0:  # under steady acceleration
-                swing = -a / (2.0 * pi * axis.resonance.frequency_Hz) ** 2, 0.0
+                twist = -a / (2.0 * pi * axis.resonance.frequency_Hz) ** 2, 0.0
             else:
-                swing = _swung(axis, swing, a_before, a, period_s)
+                twist = _turned(axis, twist, a_before, a, period_s)
             a_before = a
-            of_all += axis.resonance.inertia_share * (laws.acceleration_behind(axis, swing[0], swing[1]) - a)
+            of_all += axis.resonance.inertia_share * (laws.acceleration_behind(axis, twist[0], twist[1]) - a)
         out_Nm[k] = reported_torque_Nm(line, 0, at * period_s, motion, of_all, 0.0, direction, carried)
 
 

@@ -61,7 +61,7 @@ def advance_line(line: LineArrays, samples: int, counted: bool) -> None:
     """`go_on` of a line with these counts; `counted`: they are compile-time constants, and the rates are compiled with
     them."""
     call, period, m = records.call(line), records.web(line).sample_time_s, line.m
-    substeps, pace, reports = int(call.substeps), call.pace, call.reports != 0.0
+    substeps, integration, reports = int(call.substeps), call.integration, call.reports != 0.0
     h = period / substeps
     spliced = line.k > 0 and splice_laws.has_splice(records.web(line), records.pieces(line))
     for j in range(m):
@@ -79,13 +79,13 @@ def advance_line(line: LineArrays, samples: int, counted: bool) -> None:
             if spliced:
                 _follow_pieces(line, t, h)
             # Without gear play and a sticking roller an event shows in the speeds at the step's end.
-            may_step = pace != lay.PLAY
+            may_step = integration != lay.WITH_PLAY
             for i in range(line.n):
                 may_step &= not (motion.sticks(line, i) or motion.is_at_stop(line, i))
-            if may_step and pace == lay.PLAIN and counted:
+            if may_step and integration == lay.USUAL and counted:
                 motion.integrate(line, t, h, True)
-            elif may_step and pace == lay.PLAIN:
-                motion.integrate_plain(line, t, h)
+            elif may_step and integration == lay.USUAL:
+                motion.integrate_usual(line, t, h)
             elif may_step:
                 motion.integrate_any(line, t, h)
             if may_step and events.still_slides(line):
@@ -201,24 +201,24 @@ def enter(line: LineArrays) -> None:
         records.part(line, j).length_rate_m_s = line.u[lay.U_MOTORS + m * lay.UM_SIZE + j]
     period, substeps = web.sample_time_s, web.substeps
     motion.set_masses(line, time_s(line))
-    pace, reports = lay.PLAIN, False
+    integration, reports = lay.USUAL, False
     for i in range(n):
         axis = records.axis(line, i)
         reports |= motors.is_any(axis.inertia_step, 1)
         if axis.resonance.inertia_share != 0.0:
-            substeps = max(substeps, laws.swing_steps(axis, period))
+            substeps = max(substeps, laws.resonance_steps(axis, period))
         if axis.backlash.gap_rad > 0.0:
-            pace = lay.PLAY
-        rare = axis.unbalance.amplitude_Nm != 0.0 or axis.unbalance_Nm != 0.0 or axis.resonance.inertia_share != 0.0
-        rare |= axis.quadratic_drag.coefficient_N_s2_per_m2 != 0.0
+            integration = lay.WITH_PLAY
+        general = axis.unbalance.amplitude_Nm != 0.0 or axis.unbalance_Nm != 0.0 or axis.resonance.inertia_share != 0.0
+        general |= axis.quadratic_drag.coefficient_N_s2_per_m2 != 0.0
         ripples = motors.is_any(records.motor(line, i).torque_ripple_load, 0)
-        rare |= axis.load_dependent_friction.share != 0.0 or axis.reel_slope_per_m != 0.0 or n > k + 1 > 1
-        if rare or ripples:
-            pace = max(pace, lay.RARE)
+        general |= axis.load_dependent_friction.share != 0.0 or axis.reel_slope_per_m != 0.0 or n > k + 1 > 1
+        if general or ripples:
+            integration = max(integration, lay.GENERAL)
     if k > 0 and splice_laws.has_splice(web, records.pieces(line)):
-        pace = max(pace, lay.RARE)
+        integration = max(integration, lay.GENERAL)
         call.blur_m = max(abs(line.w[n]) * (period / substeps), lay.LEAST_BLUR_M)
-    call.pace, call.substeps = pace, substeps
+    call.integration, call.substeps = integration, substeps
     for j in range(m):
         motor, part = records.motor(line, j), records.part(line, j)
         reports |= laws.has_feed_forward(motor) or motor.encoder_error.amplitude_rad != 0.0

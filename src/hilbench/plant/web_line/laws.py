@@ -18,7 +18,7 @@ from hilbench.plant.web_line.records import LineArrays
 #: flip with the noise of v.
 FRICTION_WIDTH_M_S = 1e-3
 #: Largest phase angle of a twisting shaft's oscillation in an integration step, rad.
-_SWING_STEP = 0.2
+_RESONANCE_STEP = 0.2
 #: Tension change (N) at which the iteration for damping with creep stops.
 _TENSION_TOLERANCE_N = 1e-10
 _MOST_PASSES = 100
@@ -150,10 +150,10 @@ def acceleration_behind(axis: Record, twist: float, rate: float) -> float:
 
 
 @inlined
-def swing_steps(axis: Record, period_s: float) -> int:
+def resonance_steps(axis: Record, period_s: float) -> int:
     """Number of integration steps in a time, for both sides of a twisting shaft to oscillate correctly."""
     omega = 2.0 * pi * axis.resonance.frequency_Hz / sqrt(1.0 - axis.resonance.inertia_share)
-    return 1 + int(omega * period_s / _SWING_STEP)
+    return 1 + int(omega * period_s / _RESONANCE_STEP)
 
 
 @inlined

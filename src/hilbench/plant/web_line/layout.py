@@ -135,7 +135,7 @@ STAGE: Final = 1  #: for the rates; after the last stage the end of the step
 SUM: Final = 2  #: weighted rates of the stages so far
 BLOCKS: Final = 3
 CALL: Final = record_type(
-    "pace",  # integration mode that the line's effects allow
+    "integration",  # integration mode that the line's effects allow
     "reports",  # whether a drive's measurement or record isn't the true value, or an inertia steps
     "substeps",  # integration steps per sample time
     "decay_step_s",  # step length of the decays
@@ -154,9 +154,9 @@ PART: Final = record_type(
 )
 PART_SIZE: Final = PART.itemsize // 8
 #: Integration modes: the usual step; the general one, with every force; gear play, whose contact is an event.
-PLAIN: Final = 0.0
-RARE: Final = 1.0
-PLAY: Final = 2.0
+USUAL: Final = 0.0
+GENERAL: Final = 1.0
+WITH_PLAY: Final = 2.0
 
 
 def column(kind: np.dtype[Any], field: str) -> int:

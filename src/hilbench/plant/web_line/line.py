@@ -67,7 +67,7 @@ class Line(SimulatedLine):
         )
         self._moduli = moduli_by_name(self._p)
         self.set_boundary(parameters.upstream_strain, parameters.boundary.downstream_tension_N)
-        self._elastic = any(_acts_on_elasticity(entry.effect) for entry in parameters.effects)
+        self.changes_elasticity = any(_acts_on_elasticity(entry.effect) for entry in parameters.effects)
         self._observe()
 
     @property
@@ -111,16 +111,11 @@ class Line(SimulatedLine):
     ) -> None:
         """Set an effect's parameters from now on; strain and motion stay. Raises as `SimulatedLine`."""
         super().set_effect(effect_id, axis, section=section, slot=slot, **parameters)
-        self._elastic |= _acts_on_elasticity(effect_id)
-
-    @property
-    def changes_elasticity(self) -> bool:
-        """True if the line may have effects on E."""
-        return self._elastic
+        self.changes_elasticity |= _acts_on_elasticity(effect_id)
 
     def elasticity_factor(self, span: int) -> float:
         """Present factor on E of a span (from 1) by effects, including a splice in it; 1 without any."""
-        if not self._elastic:
+        if not self.changes_elasticity:
             return 1.0
         return elasticity_factor(self._p, span, self.time_s) * self.spliced_spans[span - 1].factor
 

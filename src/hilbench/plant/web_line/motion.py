@@ -303,7 +303,7 @@ def integrate(line: LineArrays, t: float, h: float, slides: bool) -> None:
 
 
 @compiled
-def integrate_plain(line: LineArrays, t: float, h: float) -> None:
+def integrate_usual(line: LineArrays, t: float, h: float) -> None:
     """`integrate` for any line in the usual mode that has no roller that sticks."""
     noinline()
     integrate(line, t, h, True)

@@ -21,7 +21,7 @@ class MainQuantity:
     """One quantity by its path (`hilbench.topology.quantities`), and how it is spoken of."""
 
     path: str
-    title: str  #: for one who is asked for a value
+    title: str  #: for a prompt for a value
     short: str  #: beside a number, in a table or at the edge of a picture
     unit: str  #: SI
     signal: str  #: the signal of a recording that shows what was set

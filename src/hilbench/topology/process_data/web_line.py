@@ -3,7 +3,7 @@
 Sub-indices are given once and for all: span k, of a line with more than driven rollers the section behind driven
 roller k, has the five of 6403h from 5·(k - 1) + 1 on, from the 17th on those from 101 + 5·(k - 17) on; of dancers,
 accumulators and reels station k the two from 81 + 2·(k - 1) on; sensors of these, and load cells, have those of 6413h
-from 3 on, forces on carriages that are told ahead those from 9 on.
+from 3 on, forces on carriages that are fed forward those from 9 on.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from hilbench.pydantic_messages import expected
 #: The seat is free again after this time without an action, and after this time without a connection, s.
 IDLE_S: Final = 120.0
 LOST_S: Final = 10.0
-#: Points of a course at most; each stands for a stretch, and has the least and largest value in it.
+#: Points of a course at most; each is of a stretch, and has the least and largest value in it.
 _MOST_POINTS: Final = 120
 _DIGITS: Final = 5
 _NAME: Final = r"^[^\x00-\x1f\x7f<>]{1,32}$"
@@ -62,7 +62,7 @@ class ControlLock:
 
     @property
     def left_s(self) -> float | None:
-        """Until the seat is free unless its holder does something; None while it is."""
+        """Time until the control lock is free unless its holder does something; None while it is."""
         holder = self._taken()
         return None if holder is None else holder.until_s - self._now()
 
@@ -84,7 +84,7 @@ class ControlLock:
         return self.is_of(viewer) and self._holder is not None and self.take(viewer, self._holder.name)
 
     def give_back(self, viewer: str) -> bool:
-        """Stand up; False for who does not sit."""
+        """Release the lock; False for who does not hold it."""
         if not self.is_of(viewer):
             return False
         self._holder = None

@@ -1,6 +1,6 @@
 """The last minutes of a bench's signals: every sample, and the least and largest value of each stretch of samples.
 
-A stretch is what one point of a plot stands for, so that a spike of one cycle is in it, however far one looks back.
+A stretch is what one point of a plot shows, so that a spike of one cycle is in it, however far one looks back.
 Nothing here waits for a viewer: who is slow finds what is there when he asks again, and what has gone by as stretches.
 """
 

@@ -1,6 +1,6 @@
 """Listens to the bus of one bench in a thread of its own, and keeps what a page shows of it.
 
-It hears what the terminal's monitor hears, in the same picture (`hilbench.apps.monitor.picture`), and sends nothing.
+It receives what the terminal's monitor does, in the same picture (`hilbench.apps.monitor.picture`), and sends nothing.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _AGAIN_S: Final = 1.0
 
 
 class Listener:
-    """What is heard of a bench. Everything but `start` and `close` may be called from any thread.
+    """Receiver of a bench's frames. Everything but `start` and `close` may be called from any thread.
 
     `open_link` joins the bus; `find_run` has the run on a bus of that name, where its folder is on this machine;
     `clock_s`: the clock by which a bus is silent.
@@ -194,7 +194,7 @@ class Listener:
             raise BusError(self._bus_problem or "the bus is not joined")
         send_emergency_stop(link)
         with self.lock:
-            self._picture.take(EMERGENCY_STOP)  # a link does not hear what it sends
+            self._picture.take(EMERGENCY_STOP)  # a link does not receive what it sends
 
     def recent_frames(self) -> list[Frame]:
         """Frames of the last cycles."""

@@ -28,7 +28,7 @@ from hilbench.topology.signal_kinds import TIME
 
 #: Of what comes before the first SYNC, the drives' answers say their units.
 _MOST_WAITING: Final = 50_000
-#: What is told of a journal one by one.
+#: Entries of a journal that are sent one by one.
 REPORTED: Final = frozenset(
     {"enabled", "stopping", "loop_open", "loop_closed", "predicted", "gap_seen", "model_proposed", "asked"}
 )
@@ -58,7 +58,7 @@ class LiveSamples:
         Decoder(config, self._nodes, None, self._rows.append)  # compiles, or loads, what each cycle runs
 
     def _begin(self, *, from_start: bool) -> None:
-        self.run: LiveRun | None = None  #: the folder of the run that is heard
+        self.run: LiveRun | None = None  #: the folder of the run that is received
         self.log = EventLog(self._config.cycle_time_s)  #: what its journal says
         self.problem = ""  #: why there are no samples any more
         self._changes: list[Change] = []

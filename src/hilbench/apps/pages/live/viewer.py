@@ -28,7 +28,7 @@ _MOST_ASKED: Final = 8
 _MOST_KNOWN: Final = 256
 #: What a connection begins with comes within this time, s.
 _HELLO_S: Final = 10.0
-#: Points of a part of the past that is asked for.
+#: Points of a part of the past that is requested.
 _MOST_POINTS: Final = 4000
 _HEAD: Final = struct.Struct("<4I")
 #: The third of the levels in a message: a part of the past.
@@ -56,7 +56,7 @@ class Asked(Protocol):
 
 
 class Viewers:
-    """All connections to one bench."""
+    """Viewers of one bench: all connections to it."""
 
     def __init__(self, listener: Listener, controls: Asked) -> None:
         self._listener = listener
@@ -103,11 +103,11 @@ class Viewers:
         """`tasks`: what is done for the viewer, the sending of what is new among it."""
         while (asked := await _received(socket)) is not None:
             number = asked.pop("number", None)
-            # Done whatever else was asked, and whether answers are taken or not.
+            # Done whatever else was requested, and whether answers are taken or not.
             stopped = await self._controls.do(viewer, asked) if asked.get("do") == "stop" else None
             if len(tasks) > _MOST_ASKED + (stopped is not None):
                 continue
-            # An answer of the bench takes its time; what is asked behind it does not wait for that.
+            # An answer of the bench takes its time; later requests do not wait for that.
             task = asyncio.create_task(self._answer(socket, viewer, asked, number, stopped))
             tasks.add(task)
             task.add_done_callback(tasks.discard)

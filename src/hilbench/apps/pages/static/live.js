@@ -1,5 +1,5 @@
 "use strict";
-// The page of a running bench: shows what its server has heard on the bus, and asks for what a person has confirmed.
+// The page of a running bench: shows what its server has received on the bus, and asks for what a person has confirmed.
 window.session.then((known) => {
   if (!known || !document.getElementById("all")) return;
   const $ = (id) => document.getElementById(id);
@@ -213,7 +213,7 @@ window.session.then((known) => {
       for (const trace of u.plot.series) {
         const y = curve(store, first, last, at(trace.signal), u.plot.scale);
         const stated = trace.deviation ? store.high[at(trace.deviation)] : null;
-        data.push(stated ? y.map((v, k) => ((stated[first + (k >> 1)] === Infinity) === trace.told ? null : v)) : y);
+        data.push(stated ? y.map((v, k) => ((stated[first + (k >> 1)] === Infinity) === trace.estimated ? null : v)) : y);
       }
       u.setData(data, true);
       if (x.length && (u.cursor.left === undefined || u.cursor.left < 0)) u.setLegend({ idx: x.length - 1 }, false);
@@ -399,7 +399,7 @@ window.session.then((known) => {
       const value = () => {
         const given = field.valueAsNumber; // NaN for an empty field
         if (given >= quantity.low && given <= quantity.high) return given;
-        told(`${quantity.title}: expected a number from ${rounded(quantity.low)} to ${rounded(quantity.high)} ${quantity.unit}`, false);
+        notify(`${quantity.title}: expected a number from ${rounded(quantity.low)} to ${rounded(quantity.high)} ${quantity.unit}`, false);
         field.focus();
         return null;
       };
@@ -455,7 +455,7 @@ window.session.then((known) => {
   const who = () => $("who").value.trim() || "somebody";
   const SAID_MS = 8000;
   let fading = 0;
-  const told = (text, done) => {
+  const notify = (text, done) => {
     $("said").hidden = false;
     $("said").className = done ? "" : "bad";
     setText($("said"), text);
@@ -513,7 +513,7 @@ window.session.then((known) => {
     });
   };
   const stop = () => !isReplay && ask("Stop every device on the bus?", "STOP", () => {
-    if (!request({ do: "stop", name: who() })) told("EMERGENCY STOP NOT SENT: no connection to the server of this page. Stop at the machine, or with hilbench estop.", false);
+    if (!request({ do: "stop", name: who() })) notify("EMERGENCY STOP NOT SENT: no connection to the server of this page. Stop at the machine, or with hilbench estop.", false);
   }, true);
   const isStopping = () => $("ask").open && $("ask").className === "stop";
 
@@ -524,7 +524,7 @@ window.session.then((known) => {
   $("ask").addEventListener("cancel", () => { asking = null; });
   $("take").addEventListener("click", () => {
     if ($("who").value.trim()) request({ do: "take", name: who() });
-    else { told("Take control: expected your name, which others and the journal are told", false); $("who").focus(); }
+    else { notify("Take control: expected your name, which others and the journal are told", false); $("who").focus(); }
   });
   $("give").addEventListener("click", () => request({ do: "give" }));
   $("pause").addEventListener("click", pause);
@@ -557,10 +557,10 @@ window.session.then((known) => {
   const request = (message, then = null) => {
     const number = ++numbers, isStop = message.do === "stop";
     if (!say({ ...message, number })) {
-      if (!isStop) told("Not sent: no connection to the server of this page", false);
+      if (!isStop) notify("Not sent: no connection to the server of this page", false);
       return false;
     }
-    const late = setTimeout(() => told(isStop ? "EMERGENCY STOP: no answer yet. Stop at the machine, or with hilbench estop." : "No answer yet", false), isStop ? STOP_ANSWER_MS : ANSWER_MS);
+    const late = setTimeout(() => notify(isStop ? "EMERGENCY STOP: no answer yet. Stop at the machine, or with hilbench estop." : "No answer yet", false), isStop ? STOP_ANSWER_MS : ANSWER_MS);
     waiting.set(number, { late, then });
     return true;
   };
@@ -574,7 +574,7 @@ window.session.then((known) => {
       const known = waiting.get(message.number);
       clearTimeout(known?.late);
       waiting.delete(message.number);
-      if (known?.then) known.then(message); else told(message.text, message.done);
+      if (known?.then) known.then(message); else notify(message.text, message.done);
     } else if (message.kind === "state") {
       state = message;
       if (message.generation !== generation && generation >= 0) $("ended").dataset.of = "";

@@ -46,7 +46,7 @@ def _surface_velocity(run: ShownRun, position: str) -> Array:
 
 
 def _surface_command(run: ShownRun, command: str) -> Array:
-    """The same by a command of a velocity."""
+    """Surface velocity by a command."""
     return run.get(command) * _radius_ratio(run, command)
 
 
@@ -61,7 +61,7 @@ def _radius_ratio(run: ShownRun, of_axis: str) -> Array:
 
 
 def _span_behind(shape: Shape, axis: int) -> str | None:
-    """The number of the span behind a driven axis, as names have it; None where a recording does not tell it."""
+    """The number of the span behind a driven axis, as names have it; None where a recording does not show it."""
     numbers = [span for span in range(1, shape.spans + 1) if shape.axis_before(span) == axis]
     return shape.numbered(numbers[0]) if numbers else None
 
@@ -88,7 +88,7 @@ def _beyond_the_line(run: ShownRun) -> Chart:
 
 
 def _steady(run: ShownRun) -> NDArray[np.bool_]:
-    """Where the line-speed command has not changed for twice the time of the averages."""
+    """True where the line-speed command has not changed for twice the time of the averages."""
     signal = _command(run)
     if signal not in run:
         return np.ones(len(run.recording), bool)
@@ -178,7 +178,7 @@ def _speeds(shape: Shape) -> Panel:
 
 
 def _difference(shape: Shape, axis: int) -> Panel:
-    """What runs are compared by, of an axis and the one behind it."""
+    """Panel by which runs are compared, of an axis and the one behind it."""
     both = "Velocity of axis 1 minus line speed", "v1 − line"
     if shape.axes > 2:
         both = f"Velocity of axis {axis} minus the next", f"v{axis} − v{axis + 1}"
@@ -238,7 +238,7 @@ def _elasticity(shape: Shape, span: int) -> Panel:
 
 
 def _torque(shape: Shape, span: int) -> Panel:
-    """Of the axis behind a span at which something is estimated."""
+    """Torque panel of the axis behind a span at which something is estimated."""
     axis = shape.axis_before(span) + 1
     measured = f"tau{axis}_Nm"
     return Panel(
@@ -260,7 +260,7 @@ def _torque(shape: Shape, span: int) -> Panel:
 
 
 def _live_torques(shape: Shape) -> tuple[Panel, Panel]:
-    """Of all motors, and what the twin does not explain of those behind an estimate."""
+    """Torque panels of all motors, and of the residual of those behind an estimate."""
     behind = [shape.axis_before(span) + 1 for span in shape.estimated]
     torques = (
         *_each("tau{}_Nm", range(1, shape.axes + 1), "axis {}", 0.9),

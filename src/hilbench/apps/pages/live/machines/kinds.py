@@ -20,12 +20,12 @@ from hilbench.topology.config import BenchConfig
 def live_panels(config: BenchConfig) -> list[Panel]:
     """Panels of the page of a bench, with those of their series whose signals it has."""
     names = {signal.name for signal in config.signals}
-    may_be_untold = config.shape.has_stations
+    may_be_unknown = config.shape.has_stations
     found = []
     for panel in panels_of(config.machine.kind, config.shape).panels:
         series = [each for each in panel.series if each.signal in names]
-        if not may_be_untold:
-            series = [replace(each, deviation="") for each in series if each.told]
+        if not may_be_unknown:
+            series = [replace(each, deviation="") for each in series if each.estimated]
         bands = [each for each in panel.bands if names.issuperset(filter(None, (each.signal, each.deviation)))]
         if panel.live and series and names.issuperset(panel.needs):
             found.append(replace(panel, series=series, bands=bands))
@@ -33,7 +33,7 @@ def live_panels(config: BenchConfig) -> list[Panel]:
 
 
 def signals_of(panels: Sequence[Panel]) -> list[str]:
-    """All that they show, each once."""
+    """Signals that panels show, each once."""
     shown = [(each.signal, each.deviation) for panel in panels for each in panel.series]
     shown += [(each.signal, each.deviation) for panel in panels for each in panel.bands]
     return list(dict.fromkeys(name for names in shown for name in names if name))
@@ -47,7 +47,7 @@ def panel_data(panel: Panel, config: BenchConfig) -> dict[str, Any]:
         **{name: getattr(panel, name) for name in ("name", "title", "unit", "least", "least_share")},
         "scale": panel.si_per_unit,
         "limits": {name: level / panel.si_per_unit for name, level in levels.items() if level is not None},
-        "series": [_data(each, "name", "width", "dash", "told") for each in panel.series],
+        "series": [_data(each, "name", "width", "dash", "estimated") for each in panel.series],
         "bands": [_data(each, "share", "alpha") for each in panel.bands],
     }
 

@@ -36,7 +36,7 @@ def line(points: Iterable[tuple[float, float]], kind: str) -> str:
 
 
 def picture(width: float, height: float, title: str, shapes: Iterable[str]) -> str:
-    """All of it, as wide as it is drawn where there is room."""
+    """SVG element of these shapes, as wide as it is drawn where there is room."""
     size = f'viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" font-size="{_TEXT_PX}"'
     head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} role="img" aria-label="{escape(title)}">'
     return f"{head}{''.join(shapes)}</svg>"

@@ -54,7 +54,7 @@ def last_run(runs: Path, stand: str) -> tuple[LastRun | None, list[str]]:
     return None, problems
 
 
-def ask_stand(
+def read_stand(
     config: BenchConfig, *, start: bool, in_process: bool, announce: Callable[[str], None]
 ) -> tuple[NodeAnswers, frozenset[str]]:
     """Answers of the drives, by part, and which of them were started for that; nothing is written to any.
