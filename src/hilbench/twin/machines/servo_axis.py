@@ -172,8 +172,8 @@ class ServoAxisTwin:
 
     @property
     def runs_in_vectors(self) -> bool:
-        """True if `in_vectors` covers all of a cycle: not with a plant whose steps are other code."""
-        return type(self.plant) is ServoAxis
+        """True if `in_vectors` covers all of a cycle: not of a subclass, nor of a plant whose steps are other code."""
+        return (type(self), type(self.plant)) == (ServoAxisTwin, ServoAxis)
 
     def warm_up_in_vectors(self) -> None:
         """Compile, or load, the functions for running in vectors."""
