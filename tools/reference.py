@@ -25,7 +25,7 @@ from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 from hilbench.runs import estimated_errors
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.config_text import json_schema
-from hilbench.runs.metrics import OF_RUNS, OF_STEPS
+from hilbench.runs.metrics import OF_RUNS, of_steps
 from hilbench.runs.segment import Metric
 from hilbench.topology.quantities import permitted, single_paths
 from hilbench.topology.signal_kinds import Signal
@@ -353,7 +353,7 @@ def metrics_page() -> str:
         "each step of the run has for itself, from when it acts to the next event; of the run they are the worst of "
         "all its steps. What a step, the *settled part* and noise are: [Results and report](../results.md).",
     ]
-    for kind, machine in OF_STEPS.items():
+    for kind, machine in of_steps().items():
         lines += ["", f"## Of steps, `kind: {kind}`", "", *_metrics_table(machine.metrics)]
     lines += ["", "## Of the whole run, any machine", "", *_metrics_table(OF_RUNS)]
     lines += ["", "## Of what is found while the bench runs (`twin: live_diagnosis:`)", ""]

@@ -10,7 +10,7 @@ from tools.reference import ROOT, pages, unit_of_key
 
 from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 from hilbench.runs.config import ExperimentConfig
-from hilbench.runs.metrics import METRICS
+from hilbench.runs.metrics import all_metrics
 from hilbench.topology.signals import signals_of, smallest_shapes
 
 
@@ -67,7 +67,7 @@ def test_effects_metrics_signals_and_objects_are_all_there(made: dict[str, str])
         assert {parameter.name for parameter in effect.parameters} <= rows(effects).keys()
     shift = effects.partition("## elasticity_shift")[2].partition("## ")[0]
     assert rows(shift)["relative_change"][2:5] == ["0", "-0.95", "10"]
-    assert set(METRICS) <= rows(made["reference/metrics.md"]).keys()
+    assert set(all_metrics()) <= rows(made["reference/metrics.md"]).keys()
     for kind, shape in smallest_shapes().items():
         assert {signal.name for signal in signals_of(kind, shape)} <= rows(made["reference/signals.md"]).keys()
     objects = rows(made["reference/objects.md"])

@@ -29,6 +29,7 @@ steps:
   - ramp: {{path: speed_rad_s, to: 0.0, duration_s: 0.5}}
 criteria:
   - {{name: inertia at the end, metric: J_final_error_pct, max: 2.0, unit: '%'}}
+  - {{name: torque of the fan, metric: fan_torque_peak_Nm, max: 1.0, unit: 'N·m'}}
 """
 #: The fan is as it is in the model, and rubs.
 _RUBS = """
@@ -76,6 +77,7 @@ def test_a_machine_of_another_package_runs_and_is_reported_with_its_signals(benc
     assert {round(value, 6) for value in drag.tolist()} >= {0.0005, 0.0006}
     last = slice(-600, -300)  # at a steady speed
     assert recording["tau_fan_true_Nm"][last] == pytest.approx(0.0006 * speed[last] ** 2, abs=2e-3)
+    assert recording["tau1_residual_Nm"][speed > 25.0].mean() == pytest.approx(0.0, abs=0.05)  # the twin's fan drags
     assert "Torque of the fan" in (folder / "report.html").read_text()
 
 

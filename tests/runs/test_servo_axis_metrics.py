@@ -7,7 +7,7 @@ import pytest
 from tests.runs.shafts import TAU_S, COULOMB_Nm, recorded_shaft
 
 from hilbench.runs.criteria import Criterion, evaluate
-from hilbench.runs.metrics import OF_STEPS, evaluate_metrics, judge
+from hilbench.runs.metrics import evaluate_metrics, judge, of_steps
 
 
 def test_a_step_of_the_inertia_is_judged_as_one_of_e_is_while_the_shaft_never_stops_swinging() -> None:
@@ -27,7 +27,7 @@ def test_a_step_of_the_inertia_is_judged_as_one_of_e_is_while_the_shaft_never_st
 
 def test_a_run_of_a_shaft_has_no_metrics_of_a_web() -> None:
     found = evaluate_metrics(recorded_shaft().channels)
-    assert set(found) == set(OF_STEPS["servo_axis"].metrics)
+    assert set(found) == set(of_steps()["servo_axis"].metrics)
     assert not [name for name in found if "tension" in name or name.startswith("E_")]
 
 

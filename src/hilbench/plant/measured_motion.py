@@ -199,5 +199,5 @@ class InStep(Protocol):
 class FollowsInStep(Protocol):
     """`hilbench.plant.interface.Follower` with a compiled cycle."""
 
-    def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> InStep:
-        """Compiled follower of this motion, with load motors on `axes`, counted from 1."""
+    def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> InStep | None:
+        """Compiled follower of this motion, with load motors on `axes`, counted from 1; None: there is none."""

@@ -97,7 +97,7 @@ def what_if(config: BenchConfig, recording: Recording, question: Question, place
 def require_predictable(config: BenchConfig, place: str) -> None:
     """Raise UnusableInputError for a machine whose futures nobody can run."""
     if not foreseeable(config):
-        raise UnusableInputError(place, "a bench whose machine is an FMU, expected one of another kind")
+        raise UnusableInputError(place, f"a machine of kind {config.machine.kind}, which brings no prediction")
 
 
 def check_asked(config: BenchConfig, path: str, value: float) -> None:

@@ -11,7 +11,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 from hilbench.block import Block, Strict
 from hilbench.did_you_mean import expected_one_of
 from hilbench.runs.figures import LEAST_SETTLED_S
-from hilbench.runs.metrics import METRICS, Judgement, find_metric, reasons
+from hilbench.runs.metrics import Judgement, all_metrics, find_metric, reasons
 from hilbench.runs.segment import Figure, Metric
 
 
@@ -43,7 +43,7 @@ class Criterion(Block):
     def _consistent(self) -> Self:
         metric = find_metric(self.metric)
         if metric is None:
-            raise ValueError(f"metric '{self.metric}' is not known{expected_one_of(self.metric, METRICS)}")
+            raise ValueError(f"metric '{self.metric}' is not known{expected_one_of(self.metric, all_metrics())}")
         if self.unit is not None and self.unit != metric.unit:
             raise ValueError(f"unit '{self.unit}' of metric {self.metric}, which is in '{metric.unit}'")
         if self.step is not None and not metric.of_steps:

@@ -26,11 +26,6 @@ from hilbench.runs.machines.machine import MachineMetrics
 from hilbench.runs.segment import Array, Channels, Figure, Metric, Segment, UnknownFigureError
 from hilbench.topology.signals import Shape, kind_of, shape_of, smallest_shapes
 
-#: What the smallest machine of each kind has of its steps.
-OF_STEPS: Final[Mapping[str, MachineMetrics]] = {
-    kind: recorded("metrics")[kind](shape) for kind, shape in smallest_shapes().items() if kind in recorded("metrics")
-}
-FIRST_KIND: Final = next(iter(OF_STEPS))
 _NUMBERED: Final = re.compile(r"[A-Za-z]+([1-9]\d{0,2})_\w+")
 
 _NO_SUCH_METRIC = "there is no such metric"
@@ -62,15 +57,22 @@ OF_RUNS: Final = {
     ),
 }
 
-#: Every metric of the smallest machines: of several kinds with one the first's.
-METRICS: Final[Mapping[str, Metric]] = {
-    name: metric
-    for machine in (OF_STEPS[FIRST_KIND], *OF_STEPS.values(), OF_STEPS[FIRST_KIND])
-    for name, metric in machine.metrics.items()
-} | {**OF_RUNS, **estimated_errors.METRICS}
-
 #: Steps whose reasons are stated in one line.
 _MOST_REASONS: Final = 3
+
+
+@cache
+def of_steps() -> Mapping[str, MachineMetrics]:
+    """What the smallest machine of each kind has of its steps."""
+    return {kind: of(smallest_shapes()[kind]) for kind, of in recorded("metrics").items() if kind in smallest_shapes()}
+
+
+@cache
+def all_metrics() -> Mapping[str, Metric]:
+    """Every metric of the smallest machines: of several kinds with one the first's."""
+    first, *others = of_steps().values()
+    found = {name: metric for machine in (first, *others, first) for name, metric in machine.metrics.items()}
+    return {**found, **OF_RUNS, **estimated_errors.METRICS}
 
 
 def metrics_of(kind: str, shape: Shape) -> MachineMetrics:
@@ -82,8 +84,8 @@ def metrics_of(kind: str, shape: Shape) -> MachineMetrics:
 @cache
 def find_metric(name: str) -> Metric | None:
     """Metric of a name, whatever the machine; None for a name that is no metric."""
-    if name in METRICS:
-        return METRICS[name]
+    if name in all_metrics():
+        return all_metrics()[name]
     numbered = _NUMBERED.fullmatch(name)
     if numbered is None:
         return estimated_errors.find_metric(name)
@@ -93,7 +95,7 @@ def find_metric(name: str) -> Metric | None:
 def kind_of_figures(names: Iterable[str]) -> str:
     """The kind of machine that most of the metrics with these names are of."""
     given = list(names)
-    return max(OF_STEPS, key=lambda kind: sum(name in OF_STEPS[kind].metrics for name in given))
+    return max(of_steps(), key=lambda kind: sum(name in of_steps()[kind].metrics for name in given))
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ class Judgement:
 
     steps: Sequence[StepFigures]
     events: Sequence[Event] = field(default=())
-    machine: MachineMetrics = OF_STEPS[FIRST_KIND]
+    machine: MachineMetrics = field(default_factory=lambda: next(iter(of_steps().values())))
 
     def figures(self, metric: str) -> list[tuple[StepFigures, Figure]]:
         """The figures of one metric, of the steps that have it."""

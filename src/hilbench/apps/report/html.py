@@ -27,7 +27,7 @@ from hilbench.results.result import Environment, EventRecord, FoundRecord, GapHi
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import find_events
-from hilbench.runs.metrics import METRICS, OF_RUNS, OF_STEPS, find_metric, kind_of_figures
+from hilbench.runs.metrics import OF_RUNS, all_metrics, find_metric, kind_of_figures, of_steps
 
 Array = NDArray[np.float64]
 
@@ -190,7 +190,7 @@ def write_report(run_folder: RunFolder) -> Path:
         ),
         step_metrics=[
             (name, known.unit)
-            for name in {**METRICS, **result.metrics}
+            for name in {**all_metrics(), **result.metrics}
             if any(name in step.figures for step in steps) and (known := find_metric(name))
         ],
         most_columns=_MOST_COLUMNS,
@@ -316,7 +316,7 @@ def _reasons(step: StepRecord) -> list[tuple[str, list[str]]]:
 def _metrics(result: Result) -> list[tuple[str, ...]]:
     """Name, value, unit, and what it means or why it has no value."""
     rows: list[tuple[str, ...]] = []
-    metrics = {**OF_STEPS[kind_of_figures(result.metrics)].metrics, **OF_RUNS}
+    metrics = {**of_steps()[kind_of_figures(result.metrics)].metrics, **OF_RUNS}
     for name, value in result.metrics.items():
         known = metrics.get(name) or find_metric(name)
         unit = known.unit if known else ""

@@ -37,7 +37,7 @@ from hilbench.topology import quantities
 class StepResponse:
     """Response to a step change: the whole recording, time of the step (s of experiment time), and metrics.
 
-    Metrics are those of `hilbench.runs.metrics.METRICS` that a recording decides, of this step alone; `not_judged`
+    Metrics are those of `hilbench.runs.metrics.all_metrics` that a recording decides, of this step alone; `not_judged`
     gives the reasons for missing ones, and so does the error when one is read.
     """
 

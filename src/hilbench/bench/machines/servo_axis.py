@@ -105,9 +105,9 @@ class ShaftLoadTask(LoadTask):
         sample.coulomb_true_Nm = machine.parameter("coulomb_friction_Nm") if self._has_friction else nan
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
-        """Compiled stage that follows the measured motion; the true parameters stay as they are."""
+        """Compiled stage that follows the measured motion; the true parameters stay as they are. None of a subclass."""
         piece = self.model.piece(sample.reals, self._at.of(sample), lambda _: True)
-        if piece is None:
+        if piece is None or type(self) is not ShaftLoadTask:
             return None
         return CompiledStages(
             after=[piece], cycles=lambda: MANY if self.model.continues else 0, shown=dict(self._commands)

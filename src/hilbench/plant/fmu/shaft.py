@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from hilbench.compiled import Vector
 from hilbench.plant.fmu import drives
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.fmu.effects import WithoutEffects
@@ -55,9 +54,6 @@ class FmuMechanics(WithoutEffects, Shaft):
             position, speed = self._model.advance([torque], sample_s)
             self._put_motion(position + self._offset_rad + speed * self._model.behind_s, speed)
         means /= samples
-
-    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> None:
-        """None: the FMU's step is its own code."""
 
     def set_parameter(self, name: str, value: float) -> None:
         """Set a parameter from now on. Raises ValueError for an unknown name or an impossible value."""

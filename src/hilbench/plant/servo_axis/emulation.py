@@ -181,9 +181,9 @@ class EmulatedShaft:
         load.ahead[:] = transition(lead_s)
         return law
 
-    def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> ShaftInStep:
-        """Compiled follower with load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
-        return ShaftInStep(self, motion, len(axes))
+    def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> ShaftInStep | None:
+        """Compiled follower with load motors on `axes`, as of `FollowsInStep`; None of a subclass."""
+        return ShaftInStep(self, motion, len(axes)) if type(self) is EmulatedShaft else None
 
     def outputs(self) -> dict[str, float]:
         """Filtered motion of the shaft."""

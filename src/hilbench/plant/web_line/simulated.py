@@ -303,8 +303,10 @@ class SimulatedLine:
         """`step` with set points (M,) in place of the ports', whose modes and limits are kept; the feedback goes into
         `shown`, (5 M,): position, velocity, torque, reference, torque limited.
 
-        The ports are not updated; the caller keeps the vectors. Raises ValueError as `step`.
+        The ports stay; the caller keeps the vectors. None if a subclass steps otherwise. Raises ValueError as `step`.
         """
+        if (type(self).step, type(self)._advance) != (SimulatedLine.step, SimulatedLine._advance):
+            return None
         step = self.step_in_vectors(duration_s)
         return self._stage(step.samples, set_points, shown)
 

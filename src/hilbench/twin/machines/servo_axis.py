@@ -170,8 +170,8 @@ class ServoAxisTwin(OneMethod):
 
     @property
     def runs_in_vectors(self) -> bool:
-        """True if `in_vectors` covers all of a cycle: not with a plant whose steps are other code."""
-        return type(self.plant) is ServoAxis
+        """True if `in_vectors` covers all of a cycle: not of a subclass, nor of a plant whose steps are other code."""
+        return (type(self), type(self.plant)) == (ServoAxisTwin, ServoAxis)
 
     def in_vectors(self, vectors: MachineVectors, fallback: Callable[[int], bool]) -> ServoAxisTwin:
         """Go on in these vectors until `give`; see `VectorMachine`."""

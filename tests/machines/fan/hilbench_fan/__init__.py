@@ -18,6 +18,7 @@ FAN = replace(
     start_values="hilbench_fan.machine:start_values",
     twin="hilbench_fan.machine:twin",
     tasks="hilbench_fan.machine:tasks",
+    metrics="hilbench_fan.machine:metrics_of",
     panels="hilbench_fan.machine:panels_of",
     diagnosis="hilbench_fan.machine",
     prediction="",

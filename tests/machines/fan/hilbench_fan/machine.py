@@ -25,6 +25,9 @@ from hilbench.plant.servo_axis.parameters import ServoRigParameters
 from hilbench.plant.servo_axis.shaft import ServoAxis
 from hilbench.runs import servo_axis_check
 from hilbench.runs.config import ExperimentConfig
+from hilbench.runs.machines.machine import MachineMetrics
+from hilbench.runs.machines.servo_axis import METRICS
+from hilbench.runs.segment import Metric
 from hilbench.topology.blocks import TwinConfig
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
@@ -34,6 +37,7 @@ from hilbench.twin.machines.servo_axis import ServoAxisTwin
 from hilbench_fan import FanParameters
 from hilbench_fan.topology import DRAG
 
+_TORQUE = "tau_fan_true_Nm"
 _DRAG = DRAG.path.rpartition(".")[2]
 
 
@@ -72,8 +76,6 @@ def twin(
 
 class EmulatedFan(EmulatedShaft):
     """What the load motor makes of the shaft; `torque_Nm`: of the fan."""
-
-    in_step = None  # no compiled step
 
     def __init__(self, emulated: FanParameters, real: ServoRigParameters, cycle_s: float) -> None:
         super().__init__(emulated, real, cycle_s)
@@ -123,9 +125,17 @@ def start_values(config: ExperimentConfig) -> dict[str, float]:
     return servo_axis_check.start_values(config) | {DRAG.path: config.machine.drag_Nm_s2_per_rad2}
 
 
+def metrics_of(shape: Shape) -> MachineMetrics:
+    """The part `metrics`: those of a shaft, and the largest torque of the fan."""
+    peak = Metric(
+        "N·m", "largest torque of the fan", "it is not recorded", lambda segment: segment.peak(segment.get(_TORQUE))
+    )
+    return replace(METRICS, metrics={**METRICS.metrics, "fan_torque_peak_Nm": peak})
+
+
 def panels_of(shape: Shape) -> MachinePanels:
     """The part `panels`: those of a shaft, and the torque of the fan."""
-    series = (Series("tau_fan_true_Nm", "fan", BLUE),)
+    series = (Series(_TORQUE, "fan", BLUE),)
     caption = "Torque of the emulated fan."
     fan = Panel("fan", "Torque of the fan", "torque", "N·m", series, caption=caption)
     of_axis = report.panels_of(shape)
