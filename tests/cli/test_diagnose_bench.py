@@ -16,7 +16,7 @@ from tests.bench.whole_runs import config, gone
 from tests.cli.in_process import hilbench
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.diagnosis.web_line import bench_gap
+from hilbench.diagnosis import web_line_bench_gap as bench_gap
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load
 

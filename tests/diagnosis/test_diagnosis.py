@@ -18,8 +18,8 @@ from tests.simulated_recordings import UNKNOWNS, hidden_recording
 from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.diagnosis import web_line_bench_gap as bench_gap
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
-from hilbench.diagnosis.web_line import bench_gap
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import load_model

@@ -206,7 +206,7 @@ def test_until_clear_the_bench_runs_on_with_more_steps_each_time_and_three_times
     """The bench and the search are stood in for: what is run in which order, and what is said of it."""
     from hilbench.apps.diagnose import diagnose as command
     from hilbench.apps.diagnose.command import diagnose
-    from hilbench.diagnosis.web_line.bench_gap import LiveGap
+    from hilbench.diagnosis.web_line_bench_gap import LiveGap
     from hilbench.results.recording import Recording
 
     ran: list[list[object]] = []

@@ -22,7 +22,7 @@ from hilbench.diagnosis.search import search
 from hilbench.diagnosis.selection import Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Place
-from hilbench.diagnosis.web_line.bench_gap import figures_of_line
+from hilbench.diagnosis.web_line_bench_gap import figures_of_line
 from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import STATION_EFFECTS, find_effect
 from hilbench.plant.parameters import EffectEntry

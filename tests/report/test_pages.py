@@ -15,7 +15,7 @@ from hilbench.apps.report import page as report_page
 from hilbench.apps.sync.page import write_comparison
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Profile, Unobservable, Value
 from hilbench.diagnosis.residual_analysis import Misfit
-from hilbench.diagnosis.web_line.bench_gap import LiveFigure, LiveGap
+from hilbench.diagnosis.web_line_bench_gap import LiveFigure, LiveGap
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.offline import Track
 from hilbench.plant.web_line.parameters import ModelParameters

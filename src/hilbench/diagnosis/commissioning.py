@@ -27,7 +27,7 @@ from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_noise import Uncertainty, uncertainty
 from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.terms import Place, Term, strength_parts
-from hilbench.diagnosis.web_line.machine import WIDE, believed_sizes
+from hilbench.diagnosis.web_line_machine import WIDE, believed_sizes
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.config import ModelErrorsConfig
 from hilbench.plant.effect import Section

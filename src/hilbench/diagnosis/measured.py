@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from hilbench.diagnosis import machines
+from hilbench.diagnosis import web_torque_checks as torque_checks
 from hilbench.diagnosis.data_cleaning import Repair, mended
 from hilbench.diagnosis.noise import floor
-from hilbench.diagnosis.web_line import torque_checks
-from hilbench.diagnosis.web_line.tensions import StationSensor, carriage_forces, station_sensors, tension_channels
+from hilbench.diagnosis.web_tensions import StationSensor, carriage_forces, station_sensors, tension_channels
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S

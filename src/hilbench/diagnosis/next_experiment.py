@@ -23,7 +23,7 @@ from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.noise import rms
 from hilbench.diagnosis.terms import Place
-from hilbench.diagnosis.web_line.next_experiment import line_signals
+from hilbench.diagnosis.web_line_experiment import line_signals
 from hilbench.files import write_whole
 from hilbench.plant.effect import MachineSizes
 from hilbench.plant.effects import EFFECTS

@@ -80,7 +80,7 @@ def commission(
     from hilbench.bench.lifecycle.participants import Participants
     from hilbench.diagnosis.commissioning import commissioned
     from hilbench.diagnosis.emulated import emulation_of
-    from hilbench.diagnosis.web_line.bench_gap import completed
+    from hilbench.diagnosis.web_line_bench_gap import completed
     from hilbench.results.recording import read_recording
     from hilbench.results.run import run_experiment
     from hilbench.runs.commissioning import commissioning_plan

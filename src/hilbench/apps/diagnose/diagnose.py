@@ -21,7 +21,7 @@ from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable, d
 from hilbench.diagnosis.emulated import emulation_beside, emulation_of
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.next_experiment import Step, proposed, write_steps
-from hilbench.diagnosis.web_line.bench_gap import LiveGap, live_gap, run_bench
+from hilbench.diagnosis.web_line_bench_gap import LiveGap, live_gap, run_bench
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
 from hilbench.plant.model_file import write_model

@@ -15,7 +15,7 @@ from hilbench.apps.report.plots import Drawing, DrawnAxes, Picture, drawn
 from hilbench.apps.report.reduce import moving_average
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable
 from hilbench.diagnosis.next_experiment import NextExperiment
-from hilbench.diagnosis.web_line.bench_gap import LiveGap
+from hilbench.diagnosis.web_line_bench_gap import LiveGap
 from hilbench.errors import BenchFaultError
 
 _SENTENCES = {

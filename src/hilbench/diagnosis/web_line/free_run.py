@@ -16,7 +16,7 @@ from hilbench.diagnosis.measured import STANDSTILL_M_S, Before, Measured
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.diagnosis.web_line.loop_check import Loop
-from hilbench.diagnosis.web_line.tensions import tension_names
+from hilbench.diagnosis.web_tensions import tension_names
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.driving_force import driving_force_N

@@ -22,7 +22,7 @@ from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.diagnosis.smooth_motion import Thinning, integrated, low_passed, smoothed
 from hilbench.diagnosis.web_line.free_run import of_span, remembered_m
 from hilbench.diagnosis.web_line.loop_check import DriveRecord, Loop, loop_of
-from hilbench.diagnosis.web_line.tensions import tension_names
+from hilbench.diagnosis.web_tensions import tension_names
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.line_inverse import RequiredTorques, required_torques
