@@ -142,16 +142,6 @@ class TensionLoop:
         """True if no mode grows."""
         return self.growth_per_s < _STAYS_PER_S
 
-    def course(self, tension_N: float, duration_s: float, span: int = 1) -> NDArray[np.float64]:
-        """Tension of a span of the web each cycle, beyond the steady one, after it was off by `tension_N` (n,)."""
-        state = np.zeros(len(self._places))
-        state[self._places[f"web{span}"]] = tension_N
-        turn, course = self._cycle @ self._sync(), []
-        for _ in range(round(duration_s / self.config.cycle_time_s)):
-            course.append(state[self._places[f"web{span}"]])
-            state = turn @ state
-        return np.array(course)
-
     # -- what is in it -----------------------------------------------------------------------------------
 
     @cached_property
