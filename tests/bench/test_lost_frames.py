@@ -103,7 +103,6 @@ def test_a_missing_answer_that_may_be_our_own_loss_is_told_as_such() -> None:
     )
     with pytest.raises(NoAnswerError, match=r"axis1 .*; the bench itself has lost 7 frames"):
         exchange.exchange([])
-    assert exchange.lost_frames == 7
 
 
 def test_losses_of_the_other_processes_are_warnings_too() -> None:

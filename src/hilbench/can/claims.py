@@ -89,7 +89,6 @@ class TakenError(UnusableInputError):
     """The role is held by another process."""
 
     def __init__(self, bus: str, holder: Holder | None, expected: str) -> None:
-        self.holder = holder
         found = "a program that ends or does not say who it is" if holder is None else str(holder)
         super().__init__(bus, f"taken by {found}, expected {expected}")
 

@@ -46,12 +46,6 @@ class Motion:
     speed: Array
     acceleration: Array
 
-    @classmethod
-    def of(cls, angle: Array, period_s: float) -> Motion:
-        """Motion by differences of the angle."""
-        speed = np.gradient(angle, period_s)
-        return cls(angle, speed, np.gradient(speed, period_s))
-
 
 def columns(arm: Arm, own: Motion, other: Motion) -> dict[str, Array]:
     """Torque (n,) per unit of each coupling, by name."""

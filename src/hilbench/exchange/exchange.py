@@ -182,11 +182,6 @@ class Exchange:
         self._sync.expect([])
 
     @property
-    def last_bits(self) -> int:
-        """Bits on the bus in the last cycle."""
-        return self._sync.last_bits
-
-    @property
     def lost_frames(self) -> int | None:
         """Frames the bench's own connection has lost because it was not read in time; None: not known there."""
         return self._link.dropped

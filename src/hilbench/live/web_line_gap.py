@@ -42,7 +42,6 @@ class ModelGap:
     """The gap of one model along a run of a line of N rollers, N·m at the motor of each; E is estimated in `spans`."""
 
     def __init__(self, model: ModelParameters, spans: Sequence[int], cycle_s: float) -> None:
-        self._model = model
         self._cycle_s = cycle_s
         self._axes = model.axis_count
         self._p = lay.pack(model)

@@ -54,12 +54,10 @@ class OperatingPoint:
 @dataclass(frozen=True, slots=True)
 class Margins:
     """Stability margins at an operating point. `gain`: factor by which the loop gain may grow or fall until it is
-    unstable; inf where it never is. `phase_deg`: 180 where the gain never is 1. `growth_per_s`: of the slowest mode,
-    below zero where all decay."""
+    unstable; inf where it never is. `phase_deg`: 180 where the gain never is 1."""
 
     gain: float
     phase_deg: float
-    growth_per_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,9 +114,7 @@ class TensionLoop:
         """The least margins of the controlled spans, each at the velocity command of the axis before it, where its loop
         has one signal only, with the others closed."""
         found = [self._margins_of(span) for span in self.config.tension_controls]
-        return Margins(
-            min(margins.gain for margins in found), min(margins.phase_deg for margins in found), self.growth_per_s
-        )
+        return Margins(min(margins.gain for margins in found), min(margins.phase_deg for margins in found))
 
     def _margins_of(self, span: int) -> Margins:
         cycle_s = self.config.cycle_time_s
@@ -129,7 +125,7 @@ class TensionLoop:
         gains = np.maximum(size[1:][crossing], 1.0 / size[1:][crossing])
         at_one = np.sign(size[1:] - 1.0) != np.sign(size[:-1] - 1.0)
         phases = np.degrees(np.abs(angle[1:]))[at_one]
-        return Margins(float(np.min(gains, initial=inf)), float(np.min(phases, initial=180.0)), self.growth_per_s)
+        return Margins(float(np.min(gains, initial=inf)), float(np.min(phases, initial=180.0)))
 
     @cached_property
     def growth_per_s(self) -> float:
@@ -141,16 +137,6 @@ class TensionLoop:
     def stable(self) -> bool:
         """True if no mode grows."""
         return self.growth_per_s < _STAYS_PER_S
-
-    def course(self, tension_N: float, duration_s: float, span: int = 1) -> NDArray[np.float64]:
-        """Tension of a span of the web each cycle, beyond the steady one, after it was off by `tension_N` (n,)."""
-        state = np.zeros(len(self._places))
-        state[self._places[f"web{span}"]] = tension_N
-        turn, course = self._cycle @ self._sync(), []
-        for _ in range(round(duration_s / self.config.cycle_time_s)):
-            course.append(state[self._places[f"web{span}"]])
-            state = turn @ state
-        return np.array(course)
 
     # -- what is in it -----------------------------------------------------------------------------------
 
