@@ -81,7 +81,7 @@ def max_motor_speed_rpm(part: Part) -> float:
 
 
 def torque_limit_Nm(config: ExperimentConfig, part: Part) -> float:
-    """Torque limit of an axis's drive: its motor's in the machine's model, or less by 6072h, or by the simulated one."""
+    """Torque limit of an axis's drive: its motor's in the machine's model, or less by 6072h or the simulated one."""
     od = shared_eds(part.node.eds, part.node.node_id)
     limit = default_reader(od, part.node.writes, part.node_axis)(objects.MAX_TORQUE, 0)
     if limit is None or (not limit and not part.is_simulated):  # a real drive has another one stored
