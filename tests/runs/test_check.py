@@ -56,6 +56,14 @@ def test_a_loop_that_rings_is_told_with_its_margins_and_one_that_is_unstable_is_
         check(CONFIG, UNDAMPED, "controllers.tension_control.bandwidth_rad_per_s=10")
 
 
+def test_the_torque_that_a_simulated_drive_without_6072h_has_is_told_where_it_is_not_enough(tmp_path: Path) -> None:
+    eds = (CONFIGS.parent / "eds" / "hilbench_servo.eds").read_text()
+    (tmp_path / "drive.eds").write_text(re.sub(r"\[6072\]\n(?:[^\[]*\n)*?(?=\[)", "", eds))
+    changes = [f"drives.axis2.eds={tmp_path / 'drive.eds'}", "drives.axis2.parameters={6076h: 500}"]
+    (warning,) = check(config_of(tmp_path, "ramp: {path: line_speed_m_s, to: 3, duration_s: 1.0}"), *changes).warnings
+    assert "of axis 2, which has 1.5 N·m" in warning
+
+
 def swing_behind_a_kick_N(bandwidth: float) -> float:
     """Of the true tension at standstill, from 2 s after its set-point was stepped on; not damped."""
     changes = [UNDAMPED, f"controllers.tension_control.bandwidth_rad_per_s={bandwidth}"]

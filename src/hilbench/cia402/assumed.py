@@ -24,6 +24,7 @@ _I8, _I16, _I32 = datatypes.INTEGER8, datatypes.INTEGER16, datatypes.INTEGER32
 _U8, _U16, _U32 = datatypes.UNSIGNED8, datatypes.UNSIGNED16, datatypes.UNSIGNED32
 _LARGEST: Final = {_I8: 0x7F, _I16: 0x7FFF, _I32: 0x7FFF_FFFF, _U8: 0xFF, _U16: 0xFFFF, _U32: 0xFFFF_FFFF}
 
+MAX_TORQUE: Final = 3000  #: of 6072h
 _Value = int | Callable[[DriveUnits], float]
 
 
@@ -65,7 +66,7 @@ _OBJECTS: Final[dict[tuple[int, int], tuple[int, _Value]]] = {
     (objects.VELOCITY_THRESHOLD, 0): (_U16, _rpm(5.0)),
     (objects.VELOCITY_THRESHOLD_TIME, 0): (_U16, 0),
     (objects.TARGET_TORQUE, 0): (_I16, 0),
-    (objects.MAX_TORQUE, 0): (_U16, 3000),
+    (objects.MAX_TORQUE, 0): (_U16, MAX_TORQUE),
     (objects.TORQUE_DEMAND, 0): (_I16, 0),
     (objects.TORQUE_ACTUAL_VALUE, 0): (_I16, 0),
     (objects.TARGET_POSITION, 0): (_I32, 0),

@@ -8,6 +8,7 @@ from math import inf
 
 from hilbench.canopen.eds import shared_eds
 from hilbench.cia402 import objects
+from hilbench.cia402.assumed import MAX_TORQUE
 from hilbench.cia402.configuration import default_reader
 from hilbench.cia402.units import RPM
 from hilbench.exchange.addressing import declared_units
@@ -80,9 +81,11 @@ def max_motor_speed_rpm(part: Part) -> float:
 
 
 def torque_limit_Nm(config: ExperimentConfig, part: Part) -> float:
-    """Torque limit of the drive of an axis: its motor's limit in the machine's model, or less by 6072h."""
+    """Torque limit of an axis's drive: its motor's in the machine's model, or less by 6072h or the simulated one."""
     od = shared_eds(part.node.eds, part.node.node_id)
-    limit = default_reader(od, part.node.writes, part.node_axis)(objects.MAX_TORQUE, 0) or inf
+    limit = default_reader(od, part.node.writes, part.node_axis)(objects.MAX_TORQUE, 0)
+    if limit is None or (not limit and not part.is_simulated):  # a real drive has another one stored
+        limit = MAX_TORQUE if part.is_simulated or part.is_virtual else inf
     of_motor_Nm = per_item(config.drive_parameters.torque_limit_Nm, part.axis or 1)
     return min(of_motor_Nm, limit * declared_units(part, od).torque_Nm)
 

@@ -169,7 +169,7 @@ def _expected(text: str) -> str:
     further = positions((station,), (station,))
     near = closest(text, [*single_paths(), *further, *all_paths()], _MOST_NEAR)
     if near:
-        return f"the path of a quantity, did you mean {' or '.join(map(repr, near))}?"
+        return f"one of {', '.join(near)}, …, did you mean '{near[0]}'?"
     known = ", ".join([*single_paths(), *further])
     return f"one of {known}, or load|hardware.effects.ID[.axisN|.spanN].PARAMETER"
 
