@@ -234,7 +234,7 @@ class LineFilter:
         rates = np.zeros(len(self.sensitivities.unknowns))
         for place, unknown in enumerate(self.sensitivities.unknowns):
             if unknown.kind is Kind.RADIUS:
-                rates[place] = _THICKNESS_SHARE * abs(self.sensitivities.slope_per_m(unknown.number))
+                rates[place] = _THICKNESS_SHARE * abs(self.sensitivities.slopes_per_m[unknown.number])
         self._filter = AugmentedFilter(
             believed + moduli, self._is_modulus, rates, self._offsets, swings, swings_on, swinging
         )
