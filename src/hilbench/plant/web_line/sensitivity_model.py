@@ -121,8 +121,7 @@ class SensitivityModel:
         self._moduli_of_each = [follower.moduli_Pa for follower in self._followers]
         #: All of them, the line itself in the first row.
         self.copies = PerturbedCopies(self._followers)
-        #: Tensions of the spans (K,), as of the last call; radii of all driven rollers (N,) over those at the start, 1 of
-        #: those that are no reels.
+        #: Tensions of the spans (K,) as of the last call; radii of the driven rollers (N,) over those at the start.
         self.tensions_N, self.ratios = self.copies.tensions_N[0], self.copies.ratios
         self.steps = np.array([unknown.step for unknown in self.unknowns])
         self._axes = model.axis_count
@@ -214,9 +213,8 @@ class SensitivityModel:
         moduli_Pa = np.tile(self._moduli, (len(self._followers), 1))
         for i, unknown in enumerate(self.unknowns):
             if unknown.kind is Kind.RADIUS:
-                self.copies.offsets_m[:, unknown.number - 1] = (
-                    self._error_of_each(i) / self.slopes_per_m[unknown.number]
-                )
+                per_m = self.slopes_per_m[unknown.number]
+                self.copies.offsets_m[:, unknown.number - 1] = self._error_of_each(i) / per_m
             elif unknown.kind is Kind.MODULUS:
                 moduli_Pa[:, self._spans[unknown.number]] *= 1.0 + self._error_of_each(i)[:, None]
         for view, own_Pa in zip(self._moduli_of_each, moduli_Pa, strict=True):
