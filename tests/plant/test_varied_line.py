@@ -27,7 +27,7 @@ def test_a_line_that_starts_under_way_has_the_tensions_of_its_strains_at_once(
     strained_N = [parameters.stiffness_N(span) * float(e) for span, e in enumerate(varied.line.strain, 1)]
     assert varied.line.tension_N == pytest.approx(strained_N, abs=0.1)
     # Equally strained everywhere and at that speed, it goes on so.
-    ratios = [varied.ratio(axis) for axis in range(1, parameters.axis_count + 1)]
+    ratios = varied.ratios.tolist()
     moved = [x + speed_m_s * CYCLE_S / ratio for x, ratio in zip(positions_m, ratios, strict=True)]
     varied.copies.follow(moved, CYCLE_S)
     assert varied.line.tension_N == pytest.approx(strained_N, rel=0.02)

@@ -91,23 +91,14 @@ class StateTransfer:
         places = [*follower.further_places, *rows, *(n + row for row in rows)]
         # Roller and motor turn together.
         at = [*places, *(2 * n + place for place in places), *range(4 * n, 4 * n + 2 * k)]
-        self._line, size = line, line._layout.y_size
         self.at = np.array(at)  #: of what is transferred, in the integrated quantities
-        self._from, self._to = follower.motion, line._layout.y(line._state)
-        copies = line_kernel.Copies(
-            *(np.zeros(1), np.zeros((1, 0)), np.zeros((1, k)), np.zeros((1, size)), np.zeros(1))
-        )
-        nothing = np.zeros(4), np.zeros(0, line_kernel.ROLLER), np.zeros(0, np.int64)
-        self._kept = copies, line_kernel.FollowedLine(line.vectors, *nothing)
-        self._table = table_of(self._kept)
+        self._line, self._from, self._to = line, follower.motion, line._layout.y(line._state)
 
     def __call__(self) -> None:
         """Transfer the present state."""
-        (motion,) = self._kept[0].motions
-        motion[:] = self._to
-        motion[self.at] = self._from[self.at]
-        line_kernel.follow(0.0, 1, 1, self._table)
-        self._line.show()
+        self._to[self.at] = self._from[self.at]
+        lay.refresh_modes(self._line._p, self._line._state)
+        self._line._observe()
 
 
 class LineFollower(Line):

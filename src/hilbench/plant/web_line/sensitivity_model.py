@@ -120,6 +120,8 @@ class SensitivityModel:
         self._moduli_of_each = [follower.moduli_Pa for follower in self._followers]
         #: All of them, the line itself in the first row.
         self.copies = PerturbedCopies(self._followers)
+        #: Tensions of the spans (K,) as of the last call; radii of the driven rollers (N,) over those at the start.
+        self.tensions_N, self.ratios = self.copies.tensions_N[0], self.copies.ratios
         self.steps = np.array([unknown.step for unknown in self.unknowns])
         self._axes = model.axis_count
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
@@ -144,7 +146,8 @@ class SensitivityModel:
         self._spans = {
             axis: [k for k, of in enumerate(self._before) if of == axis] for axis in range(model.axis_count + 1)
         }
-        self._slopes = {each.number: _slope_per_m(model, each.number) for each in self._of(Kind.RADIUS)}
+        #: Change of each reel's radius over that at the start, per m of its motion, by its axis.
+        self.slopes_per_m = {each.number: _slope_per_m(model, each.number) for each in self._of(Kind.RADIUS)}
         self._moduli = np.array([model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1)])
         self._pulls = self._lever_arms()
         self.errors = np.zeros(len(self.unknowns))  #: of E and radii, as corrected so far
@@ -209,7 +212,8 @@ class SensitivityModel:
         moduli_Pa = np.tile(self._moduli, (len(self._followers), 1))
         for i, unknown in enumerate(self.unknowns):
             if unknown.kind is Kind.RADIUS:
-                self.copies.offsets_m[:, unknown.number - 1] = self._error_of_each(i) / self._slopes[unknown.number]
+                per_m = self.slopes_per_m[unknown.number]
+                self.copies.offsets_m[:, unknown.number - 1] = self._error_of_each(i) / per_m
             elif unknown.kind is Kind.MODULUS:
                 moduli_Pa[:, self._spans[unknown.number]] *= 1.0 + self._error_of_each(i)[:, None]
         for view, own_Pa in zip(self._moduli_of_each, moduli_Pa, strict=True):
@@ -227,29 +231,10 @@ class SensitivityModel:
         """Index of a carriage's position in the integrated quantities."""
         return self._rollers + number - 1
 
-    def ratio(self, axis: int) -> float:
-        """Radius of a reel over that at the start."""
-        return self.copies.ratios.item(axis - 1)
-
-    @property
-    def ratios(self) -> Vector:
-        """Radii of all driven rollers (N,) over those at the start; 1 of those that are no reels."""
-        return self.copies.ratios
-
-    def slope_per_m(self, axis: int) -> float:
-        """Change of a reel's radius over that at the start, per m of its motion."""
-        return self._slopes[axis]
-
     def modulus_factor(self, axis: int) -> float:
         """Factor on E of the section after an axis."""
         place = self._place_of_modulus.get(axis)
         return 1.0 + (0.0 if place is None else self.errors.item(place))
-
-    @property
-    def tensions_N(self) -> Vector:
-        """Tensions of the spans (K,), as of the last call."""
-        own: Vector = self.copies.tensions_N[0]
-        return own
 
     def refresh_load_slopes(self) -> None:
         """Update `load_slopes` to the present state."""

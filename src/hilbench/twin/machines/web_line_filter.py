@@ -138,20 +138,15 @@ class LineFilter:
         #: Inertia of each driven roller (N,), at the motor: its own, and of the web wound on it at the start.
         self._own_kg_m2, self._wound_kg_m2 = np.array(own_kg) / per_m**2, np.array(wound_kg_m2)
         self._response = DriveResponse(self._gains, self._rates, len(shows) + 1, cycle_s)
-        count, innovations = len(self._axes), len(self._offsets)
+        count, all_of, line = len(self._axes), len(self._offsets), self.sensitivities
+        noise = np.zeros(count), np.zeros((count, noise_level.SIZE)), np.zeros(count)
+        searched = (_TRANSIENT_NOISE_SHARE * limits_Nm) ** 2, np.zeros(count)
+        window = np.zeros(all_of), np.zeros((all_of, len(shows))), self._sensors.rows, np.zeros(len(of_sensors))
+        rollers = np.zeros(len(per_m)), per_m, np.zeros(len(per_m))
+        torques, unknowns = (self._rows, *noise, *searched), (shows, line.steps, line.errors)
+        answers = self._response.arrays, line.load_slopes
         #: Of the compiled cycle.
-        self.arrays = FilterArrays(
-            *(np.zeros(1, FILTER), self._rows, np.zeros(count), np.zeros((count, noise_level.SIZE)), np.zeros(count)),
-            *((_TRANSIENT_NOISE_SHARE * limits_Nm) ** 2, np.zeros(count)),
-            *(
-                np.zeros(innovations),
-                np.zeros((innovations, len(shows))),
-                self._sensors.rows,
-                np.zeros(len(of_sensors)),
-            ),
-            *(shows, self.sensitivities.steps, self.sensitivities.errors, np.zeros(len(per_m)), per_m),
-            *(np.zeros(len(per_m)), self._response.arrays, self.sensitivities.load_slopes),
-        )
+        self.arrays = FilterArrays(np.zeros(1, FILTER), *torques, *window, *unknowns, *rollers, *answers)
         self._state = self.arrays.state[0]
         self._state["emulated"] = emulated
         self._set_cycle(cycle_s)
@@ -239,7 +234,7 @@ class LineFilter:
         rates = np.zeros(len(self.sensitivities.unknowns))
         for place, unknown in enumerate(self.sensitivities.unknowns):
             if unknown.kind is Kind.RADIUS:
-                rates[place] = _THICKNESS_SHARE * abs(self.sensitivities.slope_per_m(unknown.number))
+                rates[place] = _THICKNESS_SHARE * abs(self.sensitivities.slopes_per_m[unknown.number])
         self._filter = AugmentedFilter(
             believed + moduli, self._is_modulus, rates, self._offsets, swings, swings_on, swinging
         )
@@ -323,10 +318,10 @@ class LineFilter:
 
     def sensed_length_m(self, axis: int) -> float:
         """Length of the section after an axis, with its carriages at their sensed positions."""
-        sensed = zip(self._sensors.sensed, self.arrays.sensed.tolist(), strict=False)
-        return self.sensitivities.length_m(axis) + sum(
-            left_m * self.sensitivities.longer_by(each, axis) for each, left_m in sensed if each.kind is Kind.CARRIAGE
-        )
+        sensed, length_m = zip(self._sensors.sensed, self.arrays.sensed.tolist(), strict=False), 0.0
+        for each, left_m in sensed:
+            length_m += left_m * self.sensitivities.longer_by(each, axis) if each.kind is Kind.CARRIAGE else 0.0
+        return self.sensitivities.length_m(axis) + length_m
 
     # -- what the compiled cycle leaves --------------------------------------------------------------------
 
