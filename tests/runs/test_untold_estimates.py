@@ -105,7 +105,7 @@ def test_the_monitor_says_so_while_it_is_so(bench: BenchConfig) -> None:
 
 def test_the_page_has_a_curve_for_each(bench: BenchConfig) -> None:
     (panel,) = (panel for panel in live_panels(bench) if panel.name == "elasticity3")
-    of_twin = [(each.name, each.told, each.deviation) for each in panel.series if each.signal == "E3_sim_Pa"]
+    of_twin = [(each.name, each.estimated, each.deviation) for each in panel.series if each.signal == "E3_sim_Pa"]
     assert of_twin == [("estimated", True, "E3_sd_Pa"), ("of the model", False, "E3_sd_Pa")]
     rollers = load(SHIPPED / "line_two_spans.yaml")[0]
     (panel,) = (panel for panel in live_panels(rollers) if panel.name == "elasticity1")

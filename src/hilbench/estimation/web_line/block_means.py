@@ -50,6 +50,13 @@ def begin(s: Record) -> None:
 
 
 @compiled
+def begin_behind_gap(s: Record) -> None:
+    """Start a new block after a gap: the next cycle counts in its duration alone, as it is not comparable with this."""
+    begin(s)
+    s.after_gap = 1.0
+
+
+@compiled
 def miss(s: Record) -> None:
     """Count a missing cycle: the next sample is not one cycle after the last."""
     s.lasted += 1.0

@@ -183,8 +183,7 @@ def _compare(v: SpanEstimatorArrays, measured: tuple[float, ...]) -> int:
 @compiled
 def _see_no_change_across(v: SpanEstimatorArrays) -> None:
     """Restart the change detectors: no change is detected across this instant."""
-    block_means.begin(v.blocks)
-    v.blocks.after_gap = 1.0  # the next cycle counts in its duration alone, as it is not comparable with this
+    block_means.begin_behind_gap(v.blocks)
     anomalies.suspend(v.anomalies)
 
 
