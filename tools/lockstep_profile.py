@@ -24,8 +24,8 @@ from hilbench.results.run import Recorder
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
 
-#: Experiment time after which the processes have loaded all that they need.
-_UNDER_WAY_S = 2.0
+#: Experiment time after which a hub that forwards has loaded what it needs for that.
+_UNDER_WAY_S = 6.0
 _SCHEDULED = 2  # CPUCLOCK_SCHED of <linux/posix-timers.h>
 
 

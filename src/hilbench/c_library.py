@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     def send(descriptor: int, packet: int, length: int, flags: int) -> int:
         """send(2)."""
 
+    def epoll_wait(epoll: int, events: int, most: int, timeout_ms: int) -> int:
+        """epoll_wait(2)."""
+
     def prctl(option: int, first: int, second: int, third: int, fourth: int) -> int:
         """prctl(2)."""
 
@@ -35,6 +38,7 @@ else:
 
     recv = types.ExternalFunction("recv", types.intp(types.int32, types.intp, types.intp, types.int32))
     send = types.ExternalFunction("send", types.intp(types.int32, types.intp, types.intp, types.int32))
+    epoll_wait = types.ExternalFunction("epoll_wait", types.int32(types.int32, types.intp, types.int32, types.int32))
     prctl = types.ExternalFunction("prctl", types.int32(types.int32, *4 * (types.uintp,)))
     clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
     clock_nanosleep = types.ExternalFunction(

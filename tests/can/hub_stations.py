@@ -1,4 +1,4 @@
-"""Four stations on a hub in this process."""
+"""Stations on a hub: four on one in this process, and a hub in its own that has loaded what forwards."""
 
 from __future__ import annotations
 
@@ -10,19 +10,44 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
+from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import strategies as st
 
 from hilbench.can import hub as hub_module
 from hilbench.can import protocol, requests
-from hilbench.can.frame import Frame
-from hilbench.can.hub import Hub
+from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
+from hilbench.can.hub import Client, Hub
 from hilbench.can.link import Link
 from hilbench.can.medium import Medium
 
+#: Few identifiers: the hub knows what it has passed on before, and several senders have the same.
+IDENTIFIERS = st.integers(0, 5) | st.integers(0x7FE, 0x801) | st.sampled_from([0x1FFFFFFF, 0x80])
+FLAGS = st.sampled_from([0, 0, 0, 0, 0, 0, REMOTE_FLAG, EXTENDED_FLAG, ERROR_FLAG])
+RECORDS = st.tuples(
+    IDENTIFIERS,
+    FLAGS,
+    st.sampled_from([0, 1, 8, 8, 8, 8, 9]),
+    st.binary(min_size=8, max_size=8),
+)
+#: Who sends, what, and what is behind it that is no record.
+PACKETS = st.lists(
+    st.tuples(st.integers(0, 3), st.lists(RECORDS, max_size=12), st.sampled_from([b"", b"", b"", b"x"])), max_size=8
+)
 #: What the four let pass: all, an identifier, nothing, all of it one frame a packet.
 FILTERS = [None, [(0x001, 0x003)], [], None]
+
+
+class CountingHub(Hub):
+    """Knows how many packets it has taken itself."""
+
+    taken = 0
+
+    def _take_frames(self, client: Client, packet: bytes) -> None:
+        self.taken += 1
+        super()._take_frames(client, packet)
 
 
 def packet_of(records: Sequence[tuple[int, int, int, bytes]], rest: bytes = b"") -> bytes:
@@ -33,14 +58,16 @@ def packet_of(records: Sequence[tuple[int, int, int, bytes]], rest: bytes = b"")
 class Stations:
     """Four on a hub of their own, which has not begun to serve them."""
 
-    def __init__(self, resources: ExitStack, *, timing: str = "virtual") -> None:
+    def __init__(self, resources: ExitStack, *, loaded: bool, timing: str = "virtual") -> None:
         listener = resources.enter_context(closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)))
         listener.bind("")  # to a name that the kernel finds
         listener.listen()
         self.address = listener.getsockname()
         resources.enter_context(pytest.MonkeyPatch.context()).setattr(hub_module, "GRACE_S", 0.0)
-        self.hub = hub = Hub("test", listener)
+        self.hub = hub = CountingHub("test", listener)
         resources.callback(hub._epoll.close)
+        if loaded:
+            hub.load_forwarder()
         hub.settings = requests.Settings(timing=timing)
         hub._medium = Medium(hub.settings.bitrate)
         self.ends = []
@@ -93,6 +120,21 @@ class Stations:
     def counted(self) -> object:
         self._serves.join()
         return self.hub._medium.counters, self.hub._medium.free_ns, self.hub.malformed
+
+
+def loads_its_forwarder(runtime: Any, link: Link, other: Link) -> int:
+    """Send until the hub needs no interpreter; its process."""
+    (pid,) = runtime.hubs()
+    frames = [Frame(number, bytes(8)) for number in range(100)]
+
+    def loaded() -> bool:
+        for _ in range(50):
+            link.send(frames)
+            other.receive(20.0)
+        return "llvmlite" in Path(f"/proc/{pid}/maps").read_text()
+
+    assert runtime.eventually(loaded)
+    return pid
 
 
 def passes(sender: Link, receiver: Link, number: int) -> bool:

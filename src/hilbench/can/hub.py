@@ -1,7 +1,8 @@
 """The hub of the embedded bus: a process of its own that emulates one CAN wire between its clients.
 
 `python -m hilbench.can.hub` is started by the first client (see `hub_client`) with a listening socket; it ends when no
-connection is left. Only the standard library is imported here, so that it starts fast and without site-packages.
+connection is left. Only the standard library is imported here, so that it starts fast and without site-packages; where
+many frames go by, `forwarding` is loaded while it serves.
 
 Flow of a frame: client's packet, its station's transmit queue, arbitration and bus time (`medium`), one packet for
 every other station that receives some of the frames completed. A station whose transmit queue is full is not read
@@ -21,10 +22,10 @@ import socket
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import islice, takewhile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 from hilbench.can import protocol, requests
 from hilbench.can.confinement import ControllerState
@@ -34,6 +35,9 @@ from hilbench.can.listeners import Listeners
 from hilbench.can.medium import FOREVER, Delivery, Medium, Station
 from hilbench.can.wire import FD_LENGTHS, bits_on_wire, fd_bits_on_wire
 
+if TYPE_CHECKING:
+    from hilbench.can.forwarding import Forwarder, Left, Place
+
 #: The hub ends after this time without a connection: time for a program to close one bus and open the next.
 GRACE_S = 0.1
 #: Frames a station may have waiting for the wire before the hub stops reading from it.
@@ -42,6 +46,11 @@ TRANSMIT_LIMIT = 512
 RECEIVE_LIMIT = 16384
 #: Records in one packet to a client.
 DELIVERED_RECORDS = 512
+#: Frames after which what forwards them without the interpreter is loaded, which takes as much as the interpreter needs
+#: for some 20,000.
+_FRAMES_UNTIL_LOADED = 4096
+#: How long a station waits for the loading thread at most.
+_SWITCH_WHILE_LOADING_S = 0.0002
 #: Connections at a time; further ones are closed at once.
 MAX_CLIENTS = 128
 
@@ -89,6 +98,8 @@ class Hub:
         self._clients: dict[int, Client] = {}  # connected, by file descriptor
         self._departed: list[Client] = []  # left, with frames still to send
         self._listeners = Listeners(lambda: [client for client in self._clients.values() if client.joined])
+        self._forwarder: Forwarder | None = None
+        self._loads = False
         self._identities = 0
         self._fd = False  # true once a station that may send FD frames has joined
         self._epoll = select.epoll()
@@ -102,11 +113,12 @@ class Hub:
         """Serve until there was no connection for GRACE_S and `may_end()` agrees."""
         idle_since = time.monotonic()
         while True:
-            for descriptor, events in self._poll():
-                if descriptor == self._listener.fileno():
-                    self._accept()
-                elif descriptor in self._clients:
-                    self._attend(self._clients[descriptor], events)
+            if not self._forward():
+                for descriptor, events in self._poll():
+                    if descriptor == self._listener.fileno():
+                        self._accept()
+                    elif descriptor in self._clients:
+                        self._attend(self._clients[descriptor], events)
             self._run()
             if self._clients or self._departed:
                 idle_since = time.monotonic()
@@ -133,6 +145,75 @@ class Hub:
     def _now_ns(self) -> int:
         """Bus time of `real` timing: CLOCK_REALTIME when the hub began, never set back or forth since."""
         return time.monotonic_ns() + self._clock_offset_ns
+
+    # --- without the interpreter
+
+    def _forward(self) -> bool:
+        """Forward packets of known frames while time is virtual, until something else happens. True if that was handled
+        here: a packet, or a station that does not read. False, and nothing done, where there is more to
+        do."""
+        forwarder = self._forwarder
+        if self.settings.timing == "real":
+            return False
+        if forwarder is None:
+            if not self._loads and self._medium.counters.frames >= _FRAMES_UNTIL_LOADED:
+                self._load()
+            return False
+        if not self._can_forward(forwarder):
+            return False
+        left = forwarder.forward(self._medium, self._places())
+        self._take_left(left)
+        return bool(left.packets or left.undelivered)
+
+    def _can_forward(self, forwarder: Forwarder) -> bool:
+        return 0 < len(self._medium.stations) <= forwarder.MAX_STATIONS and self._is_quiet()
+
+    def _places(self) -> list[Place]:
+        return [(each.connection.fileno(), each.limit, each.dropped, each.receive_own) for each in self._stations]
+
+    @property
+    def _stations(self) -> Sequence[Client]:
+        return cast("Sequence[Client]", self._medium.stations)
+
+    def _take_left(self, left: Left) -> None:
+        """Process packets and records that were not forwarded."""
+        stations = list(self._stations)
+        for at, packet in left.packets:
+            if packet is None:
+                self._attend(stations[at], select.EPOLLIN)
+            else:
+                self._take(stations[at], packet)
+        for at, records in left.undelivered:
+            self._deliver(stations[at], records)
+
+    def _is_quiet(self) -> bool:
+        """True if frames are received as soon as they are sent, without disturbances."""
+        if self._departed or not self._medium.undisturbed:
+            return False
+        return not any(client.blocked or not client.reading for client in self._clients.values())
+
+    def _received_by(self, can_id: int) -> int:
+        """Stations that receive an identifier, a bit each."""
+        hearing = self._listeners.of(can_id)
+        return sum(1 << at for at, client in enumerate(self._medium.stations) if client in hearing)
+
+    def _load(self) -> None:
+        """Load what forwards; the stations are served meanwhile."""
+        from threading import Thread  # a hub that starts needs none
+
+        self._loads = True
+        sys.setswitchinterval(_SWITCH_WHILE_LOADING_S)
+        Thread(target=self.load_forwarder).start()
+
+    def load_forwarder(self) -> None:
+        """Load the forwarder: from now on packets of known frames need no interpreter."""
+        if sys.flags.no_site:  # the hub was started without other packages
+            import site
+
+            site.main()
+        from hilbench.can.forwarding import Forwarder
+
+        self._forwarder = Forwarder(self._epoll.fileno())
 
     # --- connections
 
@@ -163,6 +244,9 @@ class Hub:
             packet = client.connection.recv(protocol.PACKET_BYTES)
         except (BlockingIOError, ConnectionResetError):  # it has left without reading all: its own frames come next
             return
+        self._take(client, packet)
+
+    def _take(self, client: Client, packet: bytes) -> None:
         if not packet:
             self._disconnect(client)
         elif client.joined:
@@ -177,7 +261,7 @@ class Hub:
         client.connection.close()
         if client.joined:
             self._departed.append(client)
-            self._listeners.forget()
+            self._forget_listeners()
 
     def _watch(self, client: Client) -> None:
         """Set the events that epoll waits for. A paused socket would report its hang-up again and again: edges only."""
@@ -187,6 +271,12 @@ class Hub:
         self._epoll.modify(client.connection, events)
 
     # --- frames in
+
+    def _forget_listeners(self) -> None:
+        """Forget receivers: a station has joined or left, or changed its filters."""
+        self._listeners.forget()
+        if self._forwarder is not None:
+            self._forwarder.forget()
 
     def _take_frames(self, client: Client, packet: bytes) -> None:
         kind = packet[0]
@@ -200,6 +290,7 @@ class Hub:
         queue = self._medium.queue
         start = protocol.HEADER.size
         classical = kind == protocol.KIND_CLASSICAL
+        learn = self._forwarder.learn if self._forwarder is not None and classical else None
         for can_id, length, flags, data in record.iter_unpack(body):
             if not classical:
                 bits = self._fd_bits(can_id, length, flags, data)
@@ -207,6 +298,8 @@ class Hub:
                 bits = bits_on_wire(can_id, data[:length]) if is_classical(can_id, length) else 0
             if bits:
                 queue(client, can_id, packet[start : start + record.size], bits, arrival_ns)
+                if learn is not None:
+                    learn(can_id, length, self._received_by(can_id))
             else:
                 self.malformed += 1
             start += record.size
@@ -342,7 +435,7 @@ class Hub:
             return self._join(client, request)
         if isinstance(request, requests.SetFilters):
             self._station(request.station).filters = request.filters
-            self._listeners.forget()
+            self._forget_listeners()
             return {}
         if isinstance(request, requests.SetErrors):
             self._medium.disturber = Disturber(request.injection)
@@ -375,7 +468,7 @@ class Hub:
                     f"{error}; on it: {self._programs()}; expected these ended, or of the same bit rate and --pace"
                 ) from None
         client.filters = join.filters
-        self._listeners.forget()
+        self._forget_listeners()
         client.receive_own, client.fd = join.receive_own, join.fd
         client.limit = 1 if join.single else DELIVERED_RECORDS
         client.joined = True

@@ -10,6 +10,7 @@ it joins again (as a SocketCAN interface without restart-ms).
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -87,6 +88,11 @@ class Medium:
 
     def join(self, station: Station) -> None:
         self._stations.append(station)
+
+    @property
+    def stations(self) -> Sequence[Station]:
+        """Stations on the wire, in the order in which they joined."""
+        return self._stations
 
     def leave(self, station: Station) -> None:
         """Take a station off the wire; what is in its queue is not sent."""
