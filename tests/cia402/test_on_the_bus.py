@@ -169,6 +169,22 @@ def test_a_drive_whose_60c2_is_constant_is_configured_by_what_it_has(
         assert (master.sdo_read(1, 0x60C2, 1), master.sdo_read(1, 0x60C2, 2)) == (2, -3)
 
 
+def test_pdos_of_the_makers_file_that_no_axis_takes_are_switched_off(
+    bus: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "four_pdos.eds"
+    valid = EDS.read_text().replace("$NODEID+0x80000", "$NODEID+0x").replace("$NODEID+0xC0000", "$NODEID+0x40000")
+    file.write_text(valid)
+    monkeypatch.setattr(sys.modules[__name__], "EDS", file)
+    with hosted(bus), mastered(bus) as master:
+        assert master.sdo_read(1, 0x1802, 1) == 0x40000381
+        csv("axis 1", 1).configure(master)
+        cob_ids = {
+            index: int(master.sdo_read(1, index, 1)) for index in (*range(0x1400, 0x1404), *range(0x1800, 0x1804))
+        }
+    assert [index for index, cob_id in cob_ids.items() if not cob_id & 1 << 31] == [0x1400, 0x1800, 0x1801]
+
+
 def test_our_master_configures_and_drives_it(bus: Bus) -> None:
     with hosted(bus), mastered(bus) as master:
         drive = csv("axis 1", 1, parameters={(0x605A, 0): 6, (0x6076, 0): 2500})

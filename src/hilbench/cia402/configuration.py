@@ -13,7 +13,7 @@ from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap, received_by, sent_by
 from hilbench.cia402 import objects
-from hilbench.cia402.axis import object_of, rpdo_identifier, rpdo_numbers, tpdo_identifiers, tpdo_numbers
+from hilbench.cia402.axis import axes, object_of, rpdo_identifier, rpdo_numbers, tpdo_identifiers, tpdo_numbers
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.units import DriveUnits, ObjectReader
 from hilbench.errors import BenchFaultError, UnusableInputError
@@ -174,9 +174,22 @@ def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdo
     for communication in sorted(unused):  # by default they may have the identifiers that the others get
         if _has(od, communication, 1):
             master.disable_pdo(node_id, communication)
+    for communication in _of_no_axis(od):
+        master.disable_pdo(node_id, communication)
     master.write_rpdo(node_id, pdos.rpdo_number, pdos.rpdo)
     for number, pdo in sent.items():
         master.write_tpdo(node_id, number, pdo)
+
+
+def _of_no_axis(od: ObjectDictionary) -> list[int]:
+    """PDOs that none of the node's axes takes, and its EDS has valid: they would send what nobody reads, under COB-IDs
+    that may be another node's. Communication parameters."""
+    of_axes, declared = axes(od.__contains__), default_reader(od)
+    taken = {RPDO_COMMUNICATION + number - 1 for axis in of_axes for number in rpdo_numbers(axis)}
+    taken |= {TPDO_COMMUNICATION + n - 1 for axis in of_axes for both in tpdo_numbers(axis) for n in both}
+    first = (RPDO_COMMUNICATION, TPDO_COMMUNICATION)
+    free = (index for start in first for index in range(start, start + MAPPING) if index not in taken)
+    return [index for index in free if not int(declared(index, 1) or INVALID) & INVALID]
 
 
 def check_identity(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
