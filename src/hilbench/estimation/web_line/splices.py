@@ -164,8 +164,8 @@ class SpliceFinder:
     def reset(self) -> None:
         """Forget all blocks and the joint."""
         #: Of each block: position of the roller before the span, m, seeming strain times section over tension, speed of
-        #: the roller behind, m/s, and force that accelerates it over the tension.
-        self._blocks: deque[tuple[float, float, float, float]] = deque(maxlen=_MOST)
+        #: the roller behind, m/s.
+        self._blocks: deque[tuple[float, float, float]] = deque(maxlen=_MOST)
         self._blocks_seen = 0
         self._since_m = -inf  # position of the roller before the span from which on blocks are looked at
         self._kind: int | None = None
@@ -190,7 +190,7 @@ class SpliceFinder:
         if not tension_N > 0.0:
             self._blocks.clear()
             return None
-        self._blocks.append((travel_m, web / tension_N, now.velocity_m_s, gained_N / tension_N))
+        self._blocks.append((travel_m, web / tension_N, now.velocity_m_s))
         self._blocks_seen += 1
         if self._blocks_seen % self._every or len(self._blocks) < _FEWEST:
             return None
@@ -199,12 +199,12 @@ class SpliceFinder:
     def _look(self) -> Entered | None:
         blocks = np.array(self._blocks)
         self._choose_since(blocks)
-        travels_m, compliances, speeds_m_s, accelerating = blocks[blocks[:, 0] > self._since_m].T
+        travels_m, compliances, speeds_m_s = blocks[blocks[:, 0] > self._since_m].T
         noise = 1.4826 * float(np.median(np.abs(np.diff(compliances)))) / 2.0**0.5
         if not noise > 0.0:
             return None
         fronts_m = _fronts_m(travels_m)
-        motion = _known_regressors(speeds_m_s, accelerating)
+        motion = _known_regressors(speeds_m_s)
         fits = self._fits(travels_m, compliances, motion, fronts_m, noise)
         # The residual of the best fit, e.g. of a roller hit by a step, counts as noise.
         total = float(np.sum(_without(compliances, motion) ** 2)) / noise**2
@@ -298,11 +298,14 @@ def _fronts_m(travels_m: Array) -> Array:
     return np.asarray(0.5 * (travels_m[before] + travels_m[before + 1]))
 
 
-def _known_regressors(speeds_m_s: Array, accelerating: Array) -> Array:
-    """Orthonormal columns (n, 1 to 3) of compliance changes without a joint: constant, speed, acceleration."""
+def _known_regressors(speeds_m_s: Array) -> Array:
+    """Orthonormal columns (n, 1 to 3) of compliance changes without a joint: constant, speed, acceleration.
+
+    Acceleration is that of the blocks around each: its own speeds are in its tension, whose noise it would explain.
+    """
     regressors = [np.ones(len(speeds_m_s))]
     if np.ptp(speeds_m_s) > SAME_SPEED * np.max(np.abs(speeds_m_s)):
-        regressors += [speeds_m_s, accelerating]
+        regressors += [speeds_m_s, np.gradient(speeds_m_s)]
     return np.linalg.qr(np.stack(regressors, axis=1))[0]
 
 
