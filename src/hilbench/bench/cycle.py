@@ -43,9 +43,9 @@ class BenchCycle:
     ) -> None:
         self._state = state
         self._exchange = exchange
-        self._in_order = watches, machine
-        self._chained: CompiledCycles | None = None
         self._stamp = Stamp(state, exchange)
+        # Now, and not when the first cycle is due: making the stages takes longer than a short one.
+        self._chained = CompiledCycles(state, exchange, self._stamp, watches, machine, observers, self._finish)
         self._command = [task.before for task in machine if overrides(task, "before")]
         self._rest = [task.rest for task in machine if overrides(task, "rest")]
         self._follow = [task.after for task in machine if overrides(task, "after")]
@@ -76,19 +76,11 @@ class BenchCycle:
         """Run up to `cycles` compiled. Returns the number run; 0 if the next one needs Python. Raises as `run`."""
         if not self._state.enabled or self._state.interrupt_requested:
             return 0
-        chained = self._chained or self._chain()
         self._in_cycle = True
         try:
-            return chained.run(cycles)
+            return self._chained.run(cycles)
         finally:
             self._in_cycle = False
-
-    def _chain(self) -> CompiledCycles:
-        watches, machine = self._in_order
-        self._chained = CompiledCycles(
-            self._state, self._exchange, self._stamp, watches, machine, self._observers, self._finish
-        )
-        return self._chained
 
     def stay_alive(self, silence_s: float) -> None:
         """Send a heartbeat from another thread between two cycles; a cycle that hangs is left to the supervisor."""

@@ -7,7 +7,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from hilbench.bench.state import BenchState
-from hilbench.compiled import COUNT, TABLE, Reals, Wholes, Wholes2, arrays_in, entry_point, record_type
+from hilbench.compiled import COUNT, TABLE, Reals, Wholes, Wholes2, arrays_in, entry_point, load, record_type
 from hilbench.cycle_program import CONTINUE, CompiledStage, never
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.measured import COUNTED, twin_age_cycles
@@ -43,6 +43,7 @@ class Stamp:
     """Stamps the samples of one bench, after each exchange."""
 
     def __init__(self, state: BenchState, exchange: Exchange) -> None:
+        load(_stamp)
         self._state, sample = state, state.sample
         self._began = np.zeros(1, _BEGAN)
         arrays = _Arrays(
