@@ -6,12 +6,23 @@ from __future__ import annotations
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.can.compiled_wire import OCTET, bits_on_wire
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.cia402.units import wrap_int32
-from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, compiled, entry_point, merged, records, viewed
+from hilbench.compiled import (
+    COUNT,
+    TABLE,
+    Reals,
+    Table,
+    Wholes,
+    arrays_in,
+    compiled,
+    entry_point,
+    merged,
+    records,
+    viewed,
+)
 from hilbench.cycle_program import CONTINUE
 from hilbench.exchange.measured import FromTwin, take_twin
 from hilbench.fast_path import layout as lay
@@ -26,7 +37,6 @@ _LARGEST = 2.0**53  # whole numbers up to here are exact
 _SECOND_NS = 1_000_000_000
 _DIGITS = np.frombuffer(b"0123456789ABCDEF", np.uint8).copy()
 
-Table = NDArray[np.int64]
 _SINGLE = np.dtype(np.float32)
 #: What `exchange` and `publish` return where nothing was done: a value does not fit, a fault would follow.
 DOES_NOT_FIT = FAULT = 1

@@ -8,16 +8,14 @@ variance that an unbiased estimate from these samples can have.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.estimation.web_line.config import AlsoEstimated
 from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
-
-Array = NDArray[np.float64]
 
 
 def torque_noise_Nm(data: Measurements) -> float:

@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, Reals, Reals2, Vector, Wholes, arrays_in, compiled, entry_point
+from hilbench.compiled import COUNT, TABLE, Reals, Reals2, Table, Vector, Wholes, arrays_in, compiled, entry_point
 from hilbench.cycle_program import CONTINUE
 from hilbench.plant.motor_port import FEEDBACK_SIZE
 from hilbench.plant.sensor_rows import ALWAYS_FIRST
 from hilbench.plant.web_line import kernel, records
 from hilbench.plant.web_line.line_vectors import LineVectors, arrays
 
-Table = NDArray[np.int64]
 #: Of each motor: standard deviations of position, velocity and torque, and the encoder's increment.
 SENSOR = 4
 #: Result of `step_noisy` when the normal numbers have to be drawn anew, and nothing was done.

@@ -11,9 +11,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
+from hilbench.arrays import Array
 from hilbench.estimation.web_line.config import GlobalConfig
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, SyncSample
-from hilbench.estimation.web_line.synchronizers.regression import Array
 from hilbench.estimation.web_line.synchronizers.window import FittedToWindow
 
 #: Bounds of a nuisance, in prior deviations.

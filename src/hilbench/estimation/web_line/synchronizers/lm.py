@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilbench.estimation.bank import Array
+from hilbench.arrays import Array
 from hilbench.estimation.web_line.config import LmConfig
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, SyncSample
 from hilbench.estimation.web_line.synchronizers.window import FittedToWindow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hilbench.arrays import Array
 from hilbench.estimation.web_line.config import GlobalConfig, LmConfig
 from hilbench.estimation.web_line.synchronizers.base import (
     Estimate,
@@ -13,7 +14,7 @@ from hilbench.estimation.web_line.synchronizers.base import (
     estimate_of,
     prior_deviations,
 )
-from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, Array, RegressionRows, noise_gain
+from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, RegressionRows, noise_gain
 
 
 class FittedToWindow(HeldSynchronizer):
