@@ -115,7 +115,7 @@ class EmulatedShaft:
     ) -> None:
         of_shaft = tuple(e for e in emulated.effects if emulated_effect_problem(e.effect, e.axis) is None)
         known = real.axis.model_copy(update={"effects": ()})
-        self._machine = Shaft(emulated.model_copy(update={"effects": of_shaft}), None, (), 1)
+        self._machine = Shaft(emulated.model_copy(update={"effects": of_shaft}), None, ())
         self._real = lay.pack(known, real.load_motor)
         self._filter = TrackingFilter(filter_cycles * cycle_s)
         machine, law, size = self._machine.vectors, np.zeros(LAW.itemsize // 8), (ORDER, ORDER)
