@@ -21,6 +21,7 @@ from hilbench.code_cache import CodeCache
 
 Function = TypeVar("Function", bound=Callable[..., object])
 Vector = NDArray[np.float64]
+Table = NDArray[np.int64]
 
 #: Types of arguments of an entry point: a float, an int, a bool; arrays of float64 with one to three dimensions and of
 #: int64 with one and two, in one piece; tuples of so many floats.

@@ -11,11 +11,9 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilbench.compiled import TABLE, address_of, arrays_in, call_at, entry_point, record_type, records, table_of
+from hilbench.compiled import TABLE, Table, address_of, arrays_in, call_at, entry_point, record_type, records, table_of
 
-Table = NDArray[np.int64]
 Function = Callable[[int, Table], int]
 
 #: Regular return code of a stage, unless another is given.

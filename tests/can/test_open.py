@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import can
-from hilbench.can import interface_losses
+from hilbench.can import interfaces
 from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.can.open import BusAddress, open_link, open_python_can
 from hilbench.can.socketcan import SocketCanLink
@@ -218,7 +218,7 @@ def statistics(folder: Path, **counters: int) -> None:
 def test_socketcan_counts_what_the_interface_lost(
     kernel: KernelSocket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(interface_losses, "SYSFS", tmp_path)
+    monkeypatch.setattr(interfaces, "SYSFS", tmp_path)
     statistics(tmp_path / "can0" / "statistics", rx_over_errors=85, rx_dropped=2, rx_errors=90)
     link = SocketCanLink("can0")
     link.receive(0.0)

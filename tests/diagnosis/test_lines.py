@@ -11,11 +11,11 @@ from tests.independent_line.spans import LineOfSpans, at_span, of_drives
 from tests.plant.models import line_of
 from tests.simulated_recordings import hidden_recording
 
+from hilbench.apps.cli.columns import unknown_columns
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.terms import Place
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.results.columns import unknown_columns
 from hilbench.results.recording import Recording
 
 #: Loops of four drives that are not the model's.

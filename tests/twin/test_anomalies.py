@@ -21,7 +21,7 @@ from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.trace import TraceReader
 from hilbench.runs.config import load_with_overrides
-from hilbench.twin.alarms import Alarms
+from hilbench.twin.reports import Alarms
 
 AT_SPEED = [
     {"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 1.0}},

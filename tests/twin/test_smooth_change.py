@@ -7,7 +7,7 @@ from math import inf
 import numpy as np
 import pytest
 
-from hilbench.twin.bumpless_transfer import BumplessTransfer
+from hilbench.twin.model_switch import BumplessTransfer
 
 STEP_N, CYCLES = 0.4, 1500
 SHARES = [way * way * (3.0 - 2.0 * way) for way in np.linspace(0.001, 0.999, CYCLES)]

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from tests.simulated_measurements import simulated_measurements
 
 from hilbench.estimation.web_line.config import EstimationConfig
-from hilbench.fast_path.layout import PORT_SIZE
-from hilbench.plant.motor_port import MotorMode
+from hilbench.plant.motor_port import FEEDBACK_SIZE, MotorMode
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.web_line import SMALLEST, boundary
 from hilbench.twin.machines.machine import InVectors, MachineVectors
@@ -92,7 +91,7 @@ def _by_objects(machines: list[WebLineTwin], inputs: _Inputs, count: int) -> Non
 
 def _in_vectors(machines: list[WebLineTwin], inputs: _Inputs, count: int) -> None:
     axes = inputs.angles.shape[1]
-    measured, asked, shown = np.zeros(_MEASURED_SIZE * axes), np.zeros(axes), np.zeros(PORT_SIZE * axes)
+    measured, asked, shown = np.zeros(_MEASURED_SIZE * axes), np.zeros(axes), np.zeros(FEEDBACK_SIZE * axes)
     going = [_begun(inputs.model, machine, measured, asked, shown.copy()) for machine in machines]
     for row in range(_BEFORE, _BEFORE + count):
         measured[_POSITION::_MEASURED_SIZE] = inputs.angles[row]

@@ -232,7 +232,7 @@ class Bench:
         config, live = self.config, self.config.twin.live_diagnosis
         if live is None or self._live is None:
             return None
-        simulated = all(part.is_simulated or part.is_virtual for part in config.parts)
+        simulated = all(part.is_ours for part in config.parts)
         return ModelChanges(
             self._state,
             nodes,

@@ -6,13 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from hilbench.bench.reports.causes import Causes
 from hilbench.bench.reports.change import Change
 from hilbench.bench.reports.notice import Notices
 from hilbench.errors import BenchFaultError, BenchNotRunningError, EmergencyStopError
 from hilbench.exchange.exchange import Exchange
 from hilbench.topology.sample import CycleSample
 
+#: A condition that has not held for this time before the fault is no cause of it; later it counts as a new one.
+_HELD_S = 2.0
 #: What a message calls a bench that is not running (any more).
 _WHERE = {"made": "has not been entered", "running": "has been entered already", "ended": "has been left"}
 
@@ -100,3 +101,35 @@ class BenchState:
             if cause:
                 reason.add_cause(cause)
         self.enabled, self.stopping = False, True
+
+
+@dataclass(slots=True)
+class _Condition:
+    since_s: float
+    until_s: float
+    text: str
+
+
+class Causes:
+    """Possible causes of a fault: lasting conditions of one run by kind, in the order in which they began; times are
+    experiment time, s. What was wrong before a fault is often the better place to look: it names the first of them."""
+
+    def __init__(self) -> None:
+        self._conditions: dict[str, _Condition] = {}
+
+    def holds(self, time_s: float, kind: str, text: str) -> None:
+        """The condition `kind` holds now; `text` describes it as it is now."""
+        known = self._conditions.get(kind)
+        if known is None or time_s - known.until_s > _HELD_S:
+            self._conditions[kind] = _Condition(time_s, time_s, text)
+        else:
+            known.until_s, known.text = time_s, text
+
+    def first(self, time_s: float, fault: str) -> str:
+        """Condition that began first of those that held until just before `time_s`, with its time; "" for none, and
+        where the text of the `fault` has it already."""
+        lasting = [condition for condition in self._conditions.values() if time_s - condition.until_s <= _HELD_S]
+        if not lasting:
+            return ""
+        first = min(lasting, key=lambda condition: condition.since_s)
+        return "" if first.text in fault else f"from t = {first.since_s:.3f} s on: {first.text}"

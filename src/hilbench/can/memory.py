@@ -51,13 +51,7 @@ class MemoryBus:
 
     def open_link(self) -> MemoryLink:
         """A new station on the bus."""
-        self.before_use()
-        with self._lock:
-            link = MemoryLink(self)
-            self._links.append(link)
-            self._listeners.forget()
-            self._medium.join(link.station)
-        return link
+        return MemoryLink(self)
 
     def open_python_can(self, **options: Any) -> MemoryCanBus:
         """A python-can bus on a new station (canopen's networks want one)."""
@@ -95,7 +89,7 @@ class MemoryBus:
 
 
 class MemoryLink:
-    """A station of a MemoryBus, as the cyclic path wants it."""
+    """A new station of a MemoryBus, as the cyclic path wants it."""
 
     def __init__(self, bus: MemoryBus) -> None:
         self.channel = bus.channel
@@ -108,6 +102,11 @@ class MemoryLink:
         self._waiting_threads = 0  # for that
         self._event: int | None = None  # for `fileno`: readable while a frame waits
         self._closed = False
+        bus.before_use()
+        with bus._lock:
+            bus._links.append(self)
+            bus._listeners.forget()
+            bus._medium.join(self.station)
 
     def send(self, frames: Sequence[Frame]) -> None:
         for can_id, data, _ in frames:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from hilbench.can.confinement import STATE_CLASSES, ControllerState, bus_off, state_in_message
 from hilbench.can.embedded import can_record
 from hilbench.can.frame import ERROR_FLAG, Frame
-from hilbench.can.interface_losses import InterfaceLosses
+from hilbench.can.interfaces import InterfaceLosses
 from hilbench.can.protocol import CAN_RECORD
 from hilbench.can.waiting import wait_readable
 from hilbench.errors import BusError

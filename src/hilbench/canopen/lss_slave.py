@@ -31,7 +31,7 @@ _INQUIRE_VENDOR, _INQUIRE_SERIAL, _INQUIRE_NODE_ID = 0x5A, 0x5D, 0x5E
 
 _SCAN: Final = struct.Struct("<xIBBB")
 _START_OF_SCAN: Final = 128
-_DONE, _REFUSED, _NOT_STORABLE = 0, 1, 1
+_DONE, _REFUSED = 0, 1
 
 
 class LssState(Enum):
@@ -56,7 +56,7 @@ class LssSlave:
     configuration state) puts in force, which is the host's to do by `take_effect`.
     """
 
-    def __init__(self, identity: Sequence[int], node_id: int, *, can_store: bool = True) -> None:
+    def __init__(self, identity: Sequence[int], node_id: int) -> None:
         if len(identity) != 4:
             raise ValueError(f"{len(identity)} numbers, expected vendor, product code, revision and serial number")
         self.identity = tuple(identity)
@@ -64,7 +64,6 @@ class LssSlave:
         self.node_id = node_id
         self.pending = LssSettings(node_id)
         self.stored: LssSettings | None = None
-        self._can_store = can_store
         self._matched = 0  # parts of the address that a selective switch has named rightly so far
         self._in_range = 0  # the same for identification
         self._scanned = 0  # the part of the address that a fast scan is at
@@ -148,7 +147,8 @@ class LssSlave:
         if command == _CONFIGURE_BIT_RATE:
             return bytes([command, self._configure_bit_rate(data[1], data[2])])
         if command == _STORE:
-            return bytes([command, self._store()])
+            self.stored = self.pending
+            return bytes([command, _DONE])
         if _INQUIRE_VENDOR <= command <= _INQUIRE_SERIAL:
             return struct.pack("<BI", command, self.identity[command - _INQUIRE_VENDOR])
         if command == _INQUIRE_NODE_ID:
@@ -165,12 +165,6 @@ class LssSlave:
         if table != 0 or index not in BIT_RATES:
             return _REFUSED
         self.pending = LssSettings(self.pending.node_id, BIT_RATES[index])
-        return _DONE
-
-    def _store(self) -> int:
-        if not self._can_store:
-            return _NOT_STORABLE
-        self.stored = self.pending
         return _DONE
 
 

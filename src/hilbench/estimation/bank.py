@@ -22,9 +22,9 @@ from typing import Annotated, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.compiled import Reals, Reals2, Reals3, Records, Wholes, compiled, record_type, records
 
-Array = NDArray[np.float64]
 #: Indices in a filter's state.
 Places = NDArray[np.int64]
 

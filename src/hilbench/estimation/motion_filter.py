@@ -13,8 +13,9 @@ from __future__ import annotations
 from math import inf
 from typing import Final
 
+from hilbench.arrays import Array
 from hilbench.compiled import Record, compiled, inlined
-from hilbench.estimation.bank import Array, BankArrays, Places
+from hilbench.estimation.bank import BankArrays, Places
 
 X, V, PARAMETER, RATE, NUISANCE = range(5)
 #: Most nuisance parameters of a filter.

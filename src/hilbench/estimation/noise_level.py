@@ -6,9 +6,9 @@ from math import isfinite, sqrt
 
 import numpy as np
 
+from hilbench.arrays import Array
 from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined
 from hilbench.estimation.assumptions import MOST_SQUARE
-from hilbench.estimation.bank import Array
 
 #: Sum of the squares of the binomials 1 4 6 4 1: variance of a fourth difference of white noise.
 _GAIN = 70.0

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hilbench.arrays import Array
+
 Counts = NDArray[np.int64]
 
 #: Two clocks differ by less than this share: rows this close to whole sample times of the drives count as such.

@@ -5,14 +5,11 @@ from __future__ import annotations
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, entry_point, record_type, records
+from hilbench.compiled import COUNT, TABLE, Reals, Table, Wholes, arrays_in, entry_point, record_type, records
 from hilbench.cycle_program import CONTINUE
 from hilbench.exchange.measured import COUNTED
 from hilbench.fast_path import layout as lay
-
-Table = NDArray[np.int64]
 
 #: Totals: fast-path cycles, their frames, bits, and time on the wire in ns; the cycle of the twin's last status.
 TOTALS = record_type("cycles", "frames", "bits", "duration_ns", "reported", of=np.int64)

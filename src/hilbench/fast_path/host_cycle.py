@@ -22,6 +22,7 @@ from hilbench.fast_path.motors import Motors
 from hilbench.fast_path.packet_kernel import BITRATE, NOTHING, OTHER, UNSENT, PacketPort
 from hilbench.fast_path.tables import FastPathArrays, FastPathRefusedError, Frames, Slots, drive_row
 from hilbench.plant.interface import Steps
+from hilbench.plant.motor_port import FEEDBACK_SIZE
 
 _ENABLED = Command.ENABLE_OPERATION.value
 _OPERATIONAL = NmtState.OPERATIONAL.heartbeat
@@ -82,7 +83,7 @@ class SyncAnswers:
     def fill(self, **more: Any) -> None:
         """The arrays, of what has slots and frames by now, with `more` arrays of the image."""
         count = len(self.drives)
-        self.asked, self.shown = np.zeros(count), np.zeros(lay.PORT_SIZE * count)
+        self.asked, self.shown = np.zeros(count), np.zeros(FEEDBACK_SIZE * count)
         self.arrays = FastPathArrays(
             self.frames, self.slots, drives=self.drives, asked=self.asked, shown=self.shown, **more
         )

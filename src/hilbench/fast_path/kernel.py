@@ -6,27 +6,37 @@ from __future__ import annotations
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.can.compiled_wire import OCTET, bits_on_wire
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.cia402.units import wrap_int32
-from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, compiled, entry_point, merged, records, viewed
+from hilbench.compiled import (
+    COUNT,
+    TABLE,
+    Reals,
+    Table,
+    Wholes,
+    arrays_in,
+    compiled,
+    entry_point,
+    merged,
+    records,
+    viewed,
+)
 from hilbench.cycle_program import CONTINUE
 from hilbench.exchange.measured import FromTwin, take_twin
 from hilbench.fast_path import layout as lay
 from hilbench.fast_path.layout import Bytes, Real, Row, Rows, Single, Whole
+from hilbench.plant.motor_port import FEEDBACK_SIZE
 
 _SIGNED, _FLOAT = lay.SIGNED, lay.FLOAT
 _BEFORE_SYNC, _SYNC, _BY_TIME, _BY_CYCLES = lay.BEFORE_SYNC, lay.SYNC, lay.BY_TIME, lay.BY_CYCLES
-_PORT_SIZE = lay.PORT_SIZE
 _INTERNAL_LIMIT = STATUS_INTERNAL_LIMIT
 _INT16_MAX = 0x7FFF
 _LARGEST = 2.0**53  # whole numbers up to here are exact
 _SECOND_NS = 1_000_000_000
 _DIGITS = np.frombuffer(b"0123456789ABCDEF", np.uint8).copy()
 
-Table = NDArray[np.int64]
 _SINGLE = np.dtype(np.float32)
 #: What `exchange` and `publish` return where nothing was done: a value does not fit, a fault would follow.
 DOES_NOT_FIT = FAULT = 1
@@ -315,7 +325,7 @@ def publish(_: int, table: Table) -> int:
     image = arrays_in(table, Image)
     drives, ports, whole = image.drives, image.shown, image.whole
     for k in range(len(drives)):
-        drive, port = drives[k], ports[k * _PORT_SIZE : (k + 1) * _PORT_SIZE]
+        drive, port = drives[k], ports[k * FEEDBACK_SIZE : (k + 1) * FEEDBACK_SIZE]
         if not abs(port[1]) <= drive.overspeed_rad_s:
             return FAULT
         unit = drive.velocity_rad_s if drive.velocity else drive.torque_Nm
@@ -325,7 +335,7 @@ def publish(_: int, table: Table) -> int:
         if not largest < _LARGEST:
             return FAULT
     for k in range(len(drives)):
-        _show(drives[k], ports[k * _PORT_SIZE : (k + 1) * _PORT_SIZE], whole)
+        _show(drives[k], ports[k * FEEDBACK_SIZE : (k + 1) * FEEDBACK_SIZE], whole)
     return CONTINUE
 
 

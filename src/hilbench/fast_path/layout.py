@@ -61,8 +61,6 @@ FEEDBACK = np.dtype([*_SLOTS.descr, *_SEEN.descr])
 #: Source of values from a TPDO of the virtual I/O: its frame, its slots among the real ones, and the first place
 #: in the twin's signals (`exchange.measured`).
 VIRTUAL_IO = np.dtype([("frame", "i8"), ("first", "i8"), ("last", "i8"), ("place", "i8")])
-#: Values of a port in addition to its mode: position, velocity, torque, reference, torque-limited flag.
-PORT_SIZE = 5
 #: What a cycle is given: its start in ns, and where its text begins in that of the trace.
 GIVEN = record_type("start_ns", "text", of=np.int64)
 #: What it leaves: frames, bit times of all, their time on the wire in ns, frames that do not go by cycles, where its

@@ -9,14 +9,15 @@ from hilbench.canopen.object_store import Cell
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.fast_path import layout as lay
 from hilbench.plant.interface import Steps, StepsInModes
+from hilbench.plant.motor_port import FEEDBACK_SIZE
 
 
 class Motors:
     """Drives by their rows (D,) of `layout.DRIVE`, whose objects are in the slots of `whole` and `real`.
 
-    `asked` (D,): the set points that they follow; `shown`, (D · PORT_SIZE,): the values of their ports; `turned`: the
-    rig that they turn, by `step_s` each cycle; None where the rig is stepped elsewhere; `alone`: it
-    has no other motors; `cells`: the drives' objects, each with its slot and whether that is a real one.
+    `asked` (D,): the set points that they follow; `shown`, (D · 5,): the values of their ports; `turned`: the
+    rig that they turn, by `step_s` each cycle (None: it is stepped elsewhere); `alone`: it has no other motors;
+    `cells`: the drives' objects, each with its slot and whether that is a real one.
     """
 
     def __init__(
@@ -39,7 +40,7 @@ class Motors:
         self._asked, self._shown = asked, shown
         self._ports = [drive.firmware.port for drive in drives]
         self._asked[:] = rows["set_point"]
-        self._shown.reshape(-1, lay.PORT_SIZE)[:] = [port.feedback for port in self._ports]
+        self._shown.reshape(-1, FEEDBACK_SIZE)[:] = [port.feedback for port in self._ports]
         self._turned, self._alone = turned, alone
         self._keeps_ports = turned is not None
         #: Take the set points and step; a compiled stage where the ports are not read meanwhile.
@@ -59,10 +60,10 @@ class Motors:
         for port, set_point in zip(self._ports, self._asked.tolist(), strict=True):
             port.setpoint = set_point
         self._turned.step(step_s)
-        self._shown.reshape(-1, lay.PORT_SIZE)[:] = [port.feedback for port in self._ports]
+        self._shown.reshape(-1, FEEDBACK_SIZE)[:] = [port.feedback for port in self._ports]
 
     def _give_ports(self) -> None:
-        shown = self._shown.reshape(-1, lay.PORT_SIZE).tolist()
+        shown = self._shown.reshape(-1, FEEDBACK_SIZE).tolist()
         for port, set_point, of_port in zip(self._ports, self._asked.tolist(), shown, strict=True):
             port.setpoint, port.feedback = set_point, of_port
 

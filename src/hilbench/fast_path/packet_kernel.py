@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.c_library import CLOCK_MONOTONIC, MSG_DONTWAIT, MSG_NOSIGNAL, clock_gettime, recv, send
 from hilbench.can import protocol
@@ -20,6 +19,7 @@ from hilbench.compiled import (
     COUNT,
     TABLE,
     Record,
+    Table,
     Wholes,
     arrays_in,
     compiled,
@@ -60,8 +60,6 @@ _BY_CYCLES = lay.BY_CYCLES
 _SECOND_NS = 1_000_000_000
 #: Most packets that are gathered.
 _MOST_PACKETS: Final = 64
-
-Table = NDArray[np.int64]
 
 
 class Port(NamedTuple):

@@ -30,6 +30,7 @@ from hilbench.fast_path.bench_cycle import BenchFastCycle, FastPath
 from hilbench.fast_path.motors import Motors
 from hilbench.fast_path.tables import FastPathRefusedError, drive_row
 from hilbench.in_process_cycle.wiring import InOneProcess, Wiring
+from hilbench.plant.motor_port import FEEDBACK_SIZE
 from hilbench.topology.sample import CycleSample
 from hilbench.twin.in_arrays import TwinInArrays, give_counters
 
@@ -93,7 +94,7 @@ class _Run(BenchFastCycle):
         for wiring.slots.side, of_side in enumerate((here.rig.drives, here.machine.drives)):
             rows += [drive_row(drive, wiring.slots) for drive in of_side]
         self._drives, self._asked = np.array(rows, lay.DRIVE), np.zeros(len(rows))
-        self._shown = np.zeros(lay.PORT_SIZE * len(rows))
+        self._shown = np.zeros(FEEDBACK_SIZE * len(rows))
         wiring.slots.side = 1
         self._machine = TwinInArrays(here.machine, wiring.slots)
         more = {"drives": self._drives, "asked": self._asked, "shown": self._shown, "seen": wiring.received}
@@ -113,7 +114,7 @@ class _Run(BenchFastCycle):
         self._hardware = Motors(
             here.rig.drives,
             self._drives[:count],
-            *(*values, self._asked[:count], self._shown[: lay.PORT_SIZE * count]),
+            *(*values, self._asked[:count], self._shown[: FEEDBACK_SIZE * count]),
             here.rig.rig,
             step_s,
             self._wiring.slots.cells[0],
@@ -123,7 +124,7 @@ class _Run(BenchFastCycle):
             self._drives[count:],
             *values,
             self._asked[count:],
-            self._shown[lay.PORT_SIZE * count :],
+            self._shown[FEEDBACK_SIZE * count :],
             self._feedback[4 * len(self._bench_drives) :],
         )
 

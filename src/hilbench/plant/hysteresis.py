@@ -10,12 +10,7 @@ from __future__ import annotations
 
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hilbench.compiled import REAL, VECTOR, entry_point, inlined
-
-Vector = NDArray[np.float64]
+from hilbench.compiled import REAL, VECTOR, Vector, entry_point, inlined
 
 #: Least travel over which friction reverses.
 LEAST_PRESLIDING: Final = 1e-9

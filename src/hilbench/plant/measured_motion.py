@@ -5,6 +5,7 @@ No frame shows that a drive has missed a SYNC, or that a SYNC was sent late.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from enum import Enum
 from struct import pack_into
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import (
     FLAG,
+    TABLE_WIDTH,
     VECTOR,
     Reals,
     Record,
@@ -25,8 +27,9 @@ from hilbench.compiled import (
     record_at,
     record_in,
     record_type,
+    table_of,
 )
-from hilbench.cycle_program import CompiledStage
+from hilbench.cycle_program import CompiledStage, Function
 from hilbench.plant import sample_coherence
 from hilbench.plant.sample_coherence import COHERENCE, OWN, SampleCoherence, coherent, own_travels
 
@@ -168,31 +171,54 @@ class HasFollowed(Enum):
     ALL = 1
 
 
-class InStep(Protocol):
-    """Follower with its cycle counting: all of a cycle in one call."""
+class InStep(ABC):
+    """Follower with its cycle counting: all of a cycle in one call of a compiled `function` of a table of `arrays`.
+
+    `arrays`: a NamedTuple, with the process image's `values` and offsets `at` in it; `followed`: returned if the cycle
+    is complete; `torques_Nm`: one of the arrays, for the load motors' torques (M,).
+    """
+
+    def __init__(self, function: Function, followed: int, torques_Nm: Vector, arrays: Any) -> None:
+        self._function, self._followed = function, followed
+        self._torques, self._arrays = torques_Nm, arrays
+        self._table = np.zeros((0, TABLE_WIDTH), np.int64)
 
     @property
     def usable(self) -> bool:
         """True if it can continue in its present state."""
+        return True
+
+    @property
+    def is_shown(self) -> bool:
+        """True if nothing was changed that acts before the next cycle."""
+        return True
 
     @property
     def torques_Nm(self) -> list[float]:
         """Torques of the load motors (M,), as of the last cycle."""
+        torques_Nm: list[float] = self._torques.tolist()
+        return torques_Nm
 
     def follow(self, values: Vector, places: NDArray[np.int64], *, late: bool) -> HasFollowed:
         """Follow, by `elapsed_s`, positions (N,) and speeds (N,) at the first offsets of `values`; write torques of the
         load motors (M,), N·m, predicted by `ahead_s`, at the next ones, then its outputs: pairs of an offset and an
         output index of its description."""
-
-    @property
-    def is_shown(self) -> bool:
-        """True if nothing was changed since the last cycle."""
+        return self.has_followed(self._function(int(late), self._table_on(values, places)))
 
     def piece(self, values: Vector, places: NDArray[np.int64], fallback: Callable[[int], bool]) -> CompiledStage:
         """Compiled stage of `follow` with samples that are not late; results other than ALL go to `fallback`."""
+        table = self._table_on(values, places)
+        return CompiledStage(self._function, 0, self._arrays, continues=self._followed, fallback=fallback, table=table)
 
+    @abstractmethod
     def has_followed(self, code: int) -> HasFollowed:
         """Result of a stage by its return code."""
+
+    def _table_on(self, values: Vector, places: NDArray[np.int64]) -> NDArray[np.int64]:
+        if self._arrays.values is not values or self._arrays.at is not places:
+            self._arrays = self._arrays._replace(values=values, at=places)
+            self._table = table_of(self._arrays)
+        return self._table
 
 
 @runtime_checkable

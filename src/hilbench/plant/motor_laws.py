@@ -11,9 +11,8 @@ from math import cos, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import compiled, inlined, noinline
+from hilbench.compiled import Vector, compiled, inlined, noinline
 
-Vector = NDArray[np.float64]
 Slots = NDArray[np.float64]
 
 #: Steps of Newton's method from a measured angle to the true one; an error of 0.5 rad needs five.

@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from math import inf
 
+#: Values of a motor's `feedback` in a vector, and the places of its torque and of its torque-limited flag (1: limited).
+FEEDBACK_SIZE, TORQUE, LIMITED = 5, 2, 4
+
 
 class MotorMode(IntEnum):
     """Mode of the drive's sampled control loop: meaning of the set point."""

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.compiled import (
     REAL,
     VECTOR,
     Record,
+    Vector,
     compiled,
     entry_point,
     interpreted,
@@ -23,8 +23,6 @@ from hilbench.compiled import (
     record_in,
     record_type,
 )
-
-Vector = NDArray[np.float64]
 
 #: Largest difference of the rollers' travels at one instant, as a share of a cycle's travel.
 _ALIKE = 0.3

@@ -14,11 +14,9 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Matrix
 from hilbench.plant.matrix_exponential import matrix_exponential
-
-Matrix = NDArray[np.float64]
 
 #: A current loop is never faster than this in the model (an ideal one would make the matrices singular).
 _FASTEST_S = 1e-6

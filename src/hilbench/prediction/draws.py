@@ -6,9 +6,8 @@ from functools import cache
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hilbench.arrays import Array
 
 
 def normal_draws(futures: int, quantities: int, *key: int) -> Array:

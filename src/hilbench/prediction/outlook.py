@@ -8,9 +8,9 @@ from statistics import NormalDist
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hilbench.arrays import Array
+
 Level = Literal["warning", "trip"]
 LEVELS: Final[tuple[Level, Level]] = ("warning", "trip")
 

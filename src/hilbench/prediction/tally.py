@@ -8,12 +8,10 @@ from math import ceil
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.prediction.judging import FARTHEST, NEVER, TallyVectors
 from hilbench.prediction.outlook import Outlook, WatchedQuantity
-
-Array = NDArray[np.float64]
 
 #: Longest step, as a share of the fastest motion's time (1/ω).
 _SHARE_OF_FASTEST: Final = 0.6

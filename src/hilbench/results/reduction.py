@@ -14,13 +14,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.results.mdf import MdfPieces
 from hilbench.runs.events import Event, signal_events
 from hilbench.topology.main_quantities.of_kind import recorded_quantities
 from hilbench.topology.signal_kinds import TIME
 
 Columns = Mapping[str, NDArray[Any]]
-Array = NDArray[np.float64]
 
 #: Values of a recording that are kept in memory; of a longer one it is made as short as that. 24 MB: with what
 #: consists of them that, beside a process of 290 MB with all its machine code, is below 400 MB.

@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.bound import least_deviation_Pa, torque_noise_Nm
 from hilbench.estimation.web_line.config import METHODS, EstimationConfig, PidConfig, SynchronizerConfig, TransferConfig
@@ -19,8 +19,6 @@ from hilbench.results.recording import Recording
 from hilbench.runs import figures
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.signal_kinds import TIME
-
-Array = NDArray[np.float64]
 
 #: Channels that a synchronizer is given.
 NEEDED = ("v1_cmd_m_s", "v2_cmd_m_s", "x1_m", "x2_m", "tau2_Nm", "strain_prev", "F_next_N")

@@ -85,7 +85,7 @@ def torque_limit_Nm(config: ExperimentConfig, part: Part) -> float:
     od = shared_eds(part.node.eds, part.node.node_id)
     limit = default_reader(od, part.node.writes, part.node_axis)(objects.MAX_TORQUE, 0)
     if limit is None or (not limit and not part.is_simulated):  # a real drive has another one stored
-        limit = MAX_TORQUE if part.is_simulated or part.is_virtual else inf
+        limit = MAX_TORQUE if part.is_ours else inf
     of_motor_Nm = per_item(config.drive_parameters.torque_limit_Nm, part.axis or 1)
     return min(of_motor_Nm, limit * declared_units(part, od).torque_Nm)
 

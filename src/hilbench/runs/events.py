@@ -15,12 +15,12 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hilbench.arrays import Array
 from hilbench.bench.reports.change import Change
 from hilbench.topology.main_quantities.of_kind import find_quantity, recorded_quantities
 from hilbench.topology.quantities import MODEL_CHANGE
 from hilbench.topology.web_line_quantities import alike
 
-Array = NDArray[np.float64]
 Channels = Mapping[str, NDArray[Any]]
 
 #: A quantity that changes by more than this share from one sample to the next has stepped; slower is drift.

@@ -9,11 +9,10 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hilbench.arrays import Array
 from hilbench.runs.events import STEP_SHARE
-
-Array = NDArray[np.float64]
 
 #: Share of the working speed by which the command may differ from it inside the window.
 SPEED_BAND: Final = 1e-3

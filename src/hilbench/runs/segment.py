@@ -9,11 +9,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.runs.events import STEP_SHARE, Event, open_loops
 from hilbench.runs.figures import LEAST_SETTLED_S, least_stay_s, settled_part, stays_from, still_settling, trend_rms
 from hilbench.topology.main_quantities.quantity import MainQuantity
 
-Array = NDArray[np.float64]
 Channels = Mapping[str, NDArray[Any]]
 
 #: An excess of at most so many times the rms of the noise is noise, no overshoot.

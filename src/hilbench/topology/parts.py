@@ -129,3 +129,8 @@ class Part:
     def is_virtual(self) -> bool:
         """True if the twin emulates it."""
         return self.role in (Role.VIRTUAL_AXIS, Role.VIRTUAL_IO)
+
+    @property
+    def is_ours(self) -> bool:
+        """True if the simulated hardware or the twin emulates it: no real device."""
+        return self.is_simulated or self.is_virtual

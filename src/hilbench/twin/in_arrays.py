@@ -32,7 +32,7 @@ class TwinInArrays:
     def join(
         self, rows: lay.Rows, whole: lay.Whole, real: lay.Real, asked: lay.Real, shown: lay.Real, measured: lay.Real
     ) -> None:
-        """Use these arrays: rows, set points (N,) and feedback (N PORT_SIZE,) of the virtual axes, and the measurement
+        """Use these arrays: rows, set points (N,) and feedback (5 N,) of the virtual axes, and the measurement
         of the real ones, (4 N,)."""
         application, place = self._application, self._slots.of_cells
         on_these = rows, whole, real, asked, shown

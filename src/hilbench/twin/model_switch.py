@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from math import copysign
 from typing import Protocol
 
 from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorPort
 from hilbench.topology.blocks import MachineParameters
-from hilbench.twin.bumpless_transfer import BumplessTransfer
 from hilbench.twin.estimated_errors import EstimatedModelError
 from hilbench.twin.machines.machine import Measured, TwinMachine
 
@@ -269,3 +269,36 @@ class ModelSwitcher:
 def _steps(before: Sequence[float], now: Sequence[float]) -> list[float]:
     """Absolute change of each value."""
     return [abs(new - old) for old, new in zip(before, now, strict=True)]
+
+
+class BumplessTransfer:
+    """Bumpless transfer of outputs from one model to another.
+
+    Two models of the same web differ, and their difference jumps where they take a late sample, or some cycles without
+    measurement, differently, or where the old one diverges. Common changes of both are followed at once, the rest by no
+    more than `largest_steps` per cycle (one of each value; others are unlimited). A difference that oscillates with a
+    roller changes by less than that, and is output unchanged.
+    """
+
+    def __init__(self, largest_steps: Sequence[float]) -> None:
+        self._largest = tuple(largest_steps)
+        self._old: Sequence[float] = ()
+        self._new: Sequence[float] = ()
+        self._shown: Sequence[float] = ()
+        self.is_over = True  #: the output equals the models' blend
+
+    def show(self, old: Sequence[float], new: Sequence[float], share: float) -> list[float]:
+        """Outputs of a cycle with this share of the new model in place of the old one."""
+        wanted = [then + share * (now - then) for then, now in zip(old, new, strict=True)]
+        shown = list(wanted)
+        if self._shown:
+            for at, largest in enumerate(self._largest):
+                alone, both = new[at] - self._new[at], old[at] - self._old[at]
+                if share != 1.0:  # the common part of both changes
+                    alone = 0.0 if alone * both <= 0.0 else min(alone, both, key=abs)
+                follows = self._shown[at] + alone
+                if abs(wanted[at] - follows) > largest:
+                    shown[at] = follows + copysign(largest, wanted[at] - follows)
+        self._old, self._new, self._shown = old, new, shown
+        self.is_over = shown == wanted
+        return shown

@@ -6,10 +6,11 @@ from struct import pack
 from typing import Final
 
 from hilbench.canopen.device import Device
-from hilbench.estimation.problems import TORQUE_SHIFT, UNDECIDED
-from hilbench.twin.alarms import Alarms
+from hilbench.estimation.problems import TORQUE_SHIFT, UNDECIDED, Problem
 from hilbench.twin.model_switch import ModelSwitcher
 
+#: Time for which a condition has to be absent for its alarm to end.
+_QUIET_S = 0.5
 #: Error register (1001h): generic and device profile.
 PROFILE_SPECIFIC: Final = 0x21
 
@@ -75,3 +76,36 @@ class Reports:
 def _at(part: int) -> bytes:
     """Manufacturer's five bytes of an EMCY message: the span number in the last; 0: only one."""
     return bytes((0, 0, 0, 0, part))
+
+
+class Alarms:
+    """One alarm for each problem; an intermittent condition is one alarm."""
+
+    def __init__(self, cycle_s: float) -> None:
+        self.set_cycle_time(cycle_s)
+        self._left: dict[Problem, int] = {}
+
+    def set_cycle_time(self, cycle_s: float) -> None:
+        """Set the cycle time."""
+        self._quiet_cycles = max(1, round(_QUIET_S / cycle_s))
+
+    def reset(self) -> None:
+        """Forget active alarms."""
+        self._left.clear()
+
+    @property
+    def idle(self) -> bool:
+        """True if no alarm is active."""
+        return not self._left
+
+    def update(self, problem: Problem | None) -> tuple[list[Problem], list[Problem]]:
+        """Take this cycle's problem; returns the alarms that begin and those that end."""
+        begun = [problem] if problem is not None and problem not in self._left else []
+        for known in self._left:
+            self._left[known] -= 1
+        if problem is not None:
+            self._left[problem] = self._quiet_cycles
+        ended = [known for known, cycles in self._left.items() if cycles <= 0]
+        for known in ended:
+            del self._left[known]
+        return begun, ended

@@ -9,12 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hilbench.can.interfaces import ARPHRD_CAN, IFF_UP, SYSFS, number_in
+
 if TYPE_CHECKING:
     from hilbench.can.open import BusAddress
 
-_SYSFS = Path("/sys/class/net")
-_ARPHRD_CAN = 280  # <linux/if_arp.h>
-_IFF_UP = 0x1  # <linux/if.h>
 _IP_TIMEOUT_S = 5.0
 
 #: Counters that stay at zero on a sound bus (arbitration that was lost is no error), as `ip` names them.
@@ -76,17 +75,17 @@ def _counters(controller: Mapping[str, int], statistics: Mapping[str, Mapping[st
     )
 
 
-def read_sysfs(name: str, root: Path = _SYSFS) -> InterfaceFacts:
+def read_sysfs(name: str, root: Path = SYSFS) -> InterfaceFacts:
     """Read /sys/class/net; little, but always there."""
     folder = root / name
     if not folder.is_dir():
         return InterfaceFacts(name, exists=False)
     return InterfaceFacts(
         name,
-        is_can=_number(folder / "type") == _ARPHRD_CAN,
-        up=bool(_number(folder / "flags") & _IFF_UP),
+        is_can=number_in(folder / "type") == ARPHRD_CAN,
+        up=bool(number_in(folder / "flags") & IFF_UP),
         detailed=False,
-        queue_length=_number(folder / "tx_queue_len"),
+        queue_length=number_in(folder / "tx_queue_len"),
     )
 
 
@@ -107,7 +106,3 @@ def bitrate_of(bus: BusAddress) -> int:
     """Bit rate of an interface that reports it, in bit/s; else the address's."""
     known_bitrate = read_interface(bus.channel).bitrate if bus.interface == "socketcan" else None
     return known_bitrate or bus.bitrate
-
-
-def _number(path: Path) -> int:
-    return int(path.read_text(encoding="ascii").strip(), 0)

@@ -41,7 +41,7 @@ def expected_nodes(nodes: Nodes) -> list[ExpectedNode]:
             part=part.name,
             node_id=part.node.node_id,
             eds=part.node.eds,
-            ours=part.is_simulated or part.is_virtual,
+            ours=part.is_ours,
             device_type=default(nodes.dictionary(part.name), 0x1000, 0),
             identity=identity(nodes.dictionary(part.name)),
             mapped=_mapped(nodes.pdo_maps(part.name)),

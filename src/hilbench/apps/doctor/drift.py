@@ -31,21 +31,10 @@ Kind = Literal["config", "eds", "missing", "identity", "units", "parameter", "pd
 NodeAnswers = Mapping[str, Mapping[Key, bytes | None]]
 
 #: Keys of a config that say nothing of the stand.
-_NOT_OF_THE_STAND: Final = frozenset(
-    [
-        "name",
-        "description",
-        "seed",
-        "pace",
-        "steps",
-        "criteria",
-        "stand",
-        "history",
-        "wear_limits",
-        "recording",
-        "trace",
-    ]
-)
+_NOT_OF_THE_STAND: Final = {
+    *("name", "description", "stand", "history", "wear_limits"),
+    *("seed", "pace", "steps", "criteria", "recording", "trace"),
+}
 _DEVICE: Final = (0x1000, 0x1008, 0x1009, 0x100A, 0x1018)
 _PDO: Final = range(0x1400, 0x1C00)
 #: Of what must be a file's: device profile (the low half of 1000h), vendor-ID, product code, revision.

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
-Array = NDArray[np.float64]
+from hilbench.arrays import Array
+
 ChangeKind = Literal["step", "kink", "outlier"]
 Direction = Literal["rising", "falling"]
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hilbench.arrays import Array
 
 INK: Final = "#010203"  # becomes the page's text colour
 BLUE: Final = "#0072b2"

@@ -18,6 +18,7 @@ from hilbench.apps.report.page import number, quantity, write_page
 from hilbench.apps.report.panel import recorded_panels
 from hilbench.apps.report.plots import Drawing, DrawnAxes, ImageFormat, Picture, draw_histogram, run_pictures, zooms
 from hilbench.apps.report.web_line_drawing import line_picture
+from hilbench.arrays import Array
 from hilbench.files import make_folder, usable, written_whole
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
@@ -28,8 +29,6 @@ from hilbench.results.run_folder import RunFolder
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import find_events
 from hilbench.runs.metrics import OF_RUNS, all_metrics, find_metric, kind_of_figures, of_steps
-
-Array = NDArray[np.float64]
 
 _TITLE: Final = "Gap between measurement and model"
 _CAPTION: Final = (

@@ -27,9 +27,8 @@ from numpy.typing import NDArray
 from hilbench.apps.report.chart import VARIABLES, Band, Curve, Mark
 from hilbench.apps.report.plots import ZOOM_AFTER_S, Picture
 from hilbench.apps.report.reduce import reduced, reduced_times, stretches
+from hilbench.arrays import Array
 from hilbench.files import write_whole
-
-Array = NDArray[np.float64]
 
 #: Values of all signals of a page together; 4 bytes each, a third more as text.
 _VALUES: Final = 120_000

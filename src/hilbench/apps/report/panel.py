@@ -12,18 +12,16 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.apps.report.chart import INK, SKY, VERMILLION, Band, Chart, Curve
 from hilbench.apps.report.reduce import mean_velocity, moving_average
+from hilbench.arrays import Array
 from hilbench.machine_kinds import machine_part
 from hilbench.results.recording import Recording
 from hilbench.runs.figures import ESTIMATE_BAND
 from hilbench.topology.main_quantities.quantity import ESTIMATED, OF_THE_MODEL, MainQuantity, text_of_deviation
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape, kind_of, shape_of
-
-Array = NDArray[np.float64]
 
 #: Strokes and gaps: of commands, of set-points and what is not estimated.
 COMMAND_DASH: Final = (4.0, 4.0)

@@ -18,15 +18,13 @@ from math import ceil
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.apps.report.chart import BLUE, INK, PURPLE, VARIABLES, VERMILLION, Band, Chart, Curve, Mark
 from hilbench.apps.report.panel import ShownRun, recorded_panels
 from hilbench.apps.report.reduce import envelope, thinned
+from hilbench.arrays import Array
 from hilbench.results.recording import Recording
 from hilbench.results.result import Histogram
-
-Array = NDArray[np.float64]
 
 _COLUMNS: Final = 700
 #: Axes whose extremes reach beyond so many times what the signals do for 99.8 % of the time are cut, and say so.

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from hilbench.arrays import Array
 
 #: A window at an event is that part of the others.
 _NARROWEST = 10

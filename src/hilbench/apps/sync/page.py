@@ -44,15 +44,8 @@ _ROOM = 1.5
 _BEFORE_S, _AFTER_S = 0.1, 0.6
 
 COLUMNS = (
-    "Method",
-    ">to 1 %, s",
-    ">overshoot, %",
-    ">noise, %",
-    ">bias, %",
-    ">95 % holds, %",
-    ">E, N/mm²",
-    ">±, %",
-    ">µs",
+    *("Method", ">to 1 %, s", ">overshoot, %", ">noise, %", ">bias, %", ">95 % holds, %"),
+    *(">E, N/mm²", ">±, %", ">µs"),
 )
 
 

@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.apps.report.chart import BLUE, VERMILLION, Band, Chart, Curve
 from hilbench.apps.report.page import quantity, write_page
 from hilbench.apps.report.plots import Picture, drawn
+from hilbench.arrays import Array
 from hilbench.prediction.outlook import Outlook, WatchedQuantity
 from hilbench.results.what_if import Answer
-
-Array = NDArray[np.float64]
 
 _MEDIAN: Final = "━"
 _BAND: Final = "░"

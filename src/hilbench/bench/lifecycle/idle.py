@@ -16,7 +16,7 @@ from hilbench.topology.config import BenchConfig
 
 def may_idle(config: BenchConfig) -> bool:
     """True if time can be stopped: with simulated drives only, in lockstep."""
-    simulated = all(part.is_simulated or part.is_virtual for part in config.parts)
+    simulated = all(part.is_ours for part in config.parts)
     return config.pace == "lockstep" and simulated and config.master.heartbeat_ms > 0
 
 

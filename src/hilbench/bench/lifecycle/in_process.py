@@ -13,9 +13,8 @@ import time
 from collections.abc import Callable
 
 import can
-from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
-from hilbench.can.memory import MemoryBus, MemoryCanBus
+from hilbench.can.memory import MemoryBus, MemoryCanBus, MemoryLink
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.host import DeviceHost
 from hilbench.exchange.frame_tap import FrameTap
@@ -74,7 +73,7 @@ class InProcess:
                 return None
             if not (isinstance(rig, RigApplication) and isinstance(machine, TwinApplication)):
                 return None
-            here = InOneProcess(self.bus, link.station, self._lock, served[0], rig, served[1], machine)
+            here = InOneProcess(self.bus, link, self._lock, served[0], rig, served[1], machine)
             return FastPathCycles(here, nodes, sync, own, tap)
 
         return make
@@ -88,37 +87,24 @@ class InProcess:
         return _ServingCanBus(self)
 
 
-class ServingLink:
+class ServingLink(MemoryLink):
     """A link that serves the devices when frames are received from it."""
 
     def __init__(self, participants: InProcess) -> None:
         self._participants = participants
-        self.station = self._link = participants.bus.open_link()
-        self.channel = self._link.channel
-        self.send = self._link.send
-        self.set_filters = self._link.set_filters
-        self.fileno = self._link.fileno
-        self.close = self._link.close
+        super().__init__(participants.bus)
 
     def receive(self, timeout_s: float) -> list[Frame]:
         if timeout_s > 0.0 or self._participants.bus.waiting:
             self._participants.serve()
-        frames = self._link.receive(0.0)
+        frames = super().receive(0.0)
         if frames or timeout_s <= 0.0:
             return frames
         deadline_s = time.monotonic() + timeout_s
         while not frames and time.monotonic() < deadline_s:
-            frames = self._link.receive(_IDLE_S)
+            frames = super().receive(_IDLE_S)
             self._participants.serve()
         return frames
-
-    @property
-    def dropped(self) -> int:
-        return self._link.dropped
-
-    @property
-    def controller(self) -> ControllerState:
-        return self._link.controller
 
 
 class _ServingCanBus(MemoryCanBus):

@@ -27,7 +27,7 @@ def can_be_in_process(config: BenchConfig) -> bool:
 
 def check_in_process(config: BenchConfig) -> None:
     """Raise UnusableInputError for a config whose participants cannot live in the bench's process."""
-    real = [part.name for part in config.parts if not (part.is_simulated or part.is_virtual)]
+    real = [part.name for part in config.parts if not part.is_ours]
     for found, expected in (
         (f"bus {config.bus_address}" if config.bus_address.interface != "embedded" else "", "the embedded bus"),
         (f"{', '.join(real)} not simulated" if real else "", "all nodes simulated"),

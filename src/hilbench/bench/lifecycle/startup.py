@@ -230,7 +230,7 @@ def check_that_they_wait(config: BenchConfig, master: Master) -> None:
     by_clock = [
         f"{part.label} (node {part.node.node_id})"
         for part in config.parts
-        if (part.is_simulated or part.is_virtual) and part.node.node_id in received
+        if part.is_ours and part.node.node_id in received
     ]
     if by_clock:
         master.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
@@ -323,7 +323,7 @@ def _configure(
     """Configure each node once it has booted: drives first, while the twin loads; returns their objects before it."""
     # From its reset on the state of a node that is there already is known.
     present = participants is Participants.PRESENT
-    there = {part.node.node_id for part in config.parts if present or not (part.is_simulated or part.is_virtual)}
+    there = {part.node.node_id for part in config.parts if present or not part.is_ours}
     for node_id in sorted(there):
         master.nmt(NmtCommand.RESET_NODE, node_id)
     if there:

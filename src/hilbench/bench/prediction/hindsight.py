@@ -6,11 +6,9 @@ from collections import deque
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.prediction.outlook import Outlook
-
-Array = NDArray[np.float64]
 
 #: Lead at which a prediction is compared with the measurement, s.
 _LEAD_S: Final = 0.5

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hilbench.arrays import Array
 from hilbench.bench.prediction.hindsight import Hindsight
 from hilbench.bench.prediction.task import Look
 from hilbench.bench.prediction.window import Reading, Window
@@ -21,8 +19,6 @@ from hilbench.prediction.tally import Offsets
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED
 from hilbench.topology.sample import CycleSample
-
-Array = NDArray[np.float64]
 
 _COMMAND = "v1_cmd_rad_s"
 #: So many of its stated deviations away an inertia is another one.

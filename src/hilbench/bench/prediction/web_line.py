@@ -73,21 +73,9 @@ class LineLook(Look):
         self._set_points = {span: f"F{shape.numbered(span)}_ref_N" for span in config.tension_controls}
         self._closed = attrgetter(*(f"loop{shape.numbered(span)}_closed" for span in config.tension_controls))
         motors = [each.signal for each in self.watched if each.unit == "N·m"]
-        self.signals = tuple(
-            dict.fromkeys(
-                [
-                    *self._speeds,
-                    *self._commands,
-                    *motors,
-                    *self._tensions,
-                    *self._set_points.values(),
-                    self._modulus,
-                    self._modulus_sd,
-                    "strain_prev",
-                    "F_next_N",
-                ]
-            )
-        )
+        of_axes, of_spans = (*self._speeds, *self._commands, *motors), (*self._tensions, *self._set_points.values())
+        of_web = self._modulus, self._modulus_sd, "strain_prev", "F_next_N"
+        self.signals = tuple(dict.fromkeys([*of_axes, *of_spans, *of_web]))
         self._noisy = np.array([k for k, each in enumerate(self.watched) if each.unit != "N"])
         self.futures = LineFutures(
             model,

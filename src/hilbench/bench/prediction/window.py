@@ -7,11 +7,9 @@ from operator import attrgetter
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.topology.sample import CycleSample
-
-Array = NDArray[np.float64]
 
 #: Cycles of which a straight line is fitted.
 CYCLES: Final = 20

@@ -8,10 +8,10 @@ from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 
+from hilbench.arrays import Array
 from hilbench.compiled import Reals, Reals2, Reals3, Record, compiled, inlined, record_type
 from hilbench.estimation import noise_level
 from hilbench.estimation.assumptions import CERTAIN, TORQUE_FLOOR_NM
-from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.servo_axis import kalman
 from hilbench.estimation.servo_axis.config import InertiaConfig

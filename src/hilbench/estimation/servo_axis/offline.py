@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilbench.estimation.bank import Array
+from hilbench.arrays import Array
 from hilbench.estimation.servo_axis.balance import ShaftSample
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.estimation.servo_axis.inertia import InertiaEstimator

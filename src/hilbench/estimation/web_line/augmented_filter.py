@@ -15,9 +15,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Vector
 from hilbench.estimation.assumptions import CERTAIN
-
-Vector = NDArray[np.float64]
 
 #: Normalized innovations beyond so many deviations, twice running, are no chance: a sudden change. The first of them is
 #: not used: what has changed is not known, and small corrections of all would hide it. A gradual change is no sudden

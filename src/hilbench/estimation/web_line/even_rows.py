@@ -15,10 +15,10 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.estimation.row_times import CLOCKS_DIFFER, RowTimes, row_times
 from hilbench.estimation.web_line.measurements import Measurements
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 #: Share of a drive sample time by which a cycle may be shorter than the time between two rows.

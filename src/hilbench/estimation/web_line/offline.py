@@ -6,8 +6,8 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.plausibility import STANDSTILL_M_S
 from hilbench.estimation.web_line.config import EstimationConfig
@@ -17,8 +17,6 @@ from hilbench.estimation.web_line.span_estimator import UNKNOWN_AT_REST, UNKNOWN
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,9 @@ from __future__ import annotations
 from math import cos, pi, sin, sqrt
 from typing import Final
 
+from hilbench.arrays import Array
 from hilbench.compiled import Record, compiled, record_type, viewed
 from hilbench.estimation.assumptions import CERTAIN
-from hilbench.estimation.bank import Array
 
 #: Searched orders: 1 to this.
 ORDERS = 12

@@ -23,14 +23,11 @@ from math import exp, inf
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilbench.compiled import MATRIX, VECTOR, Record, compiled, entry_point, interpreted, record_type, viewed
+from hilbench.arrays import Array
+from hilbench.compiled import MATRIX, VECTOR, Record, Vector, compiled, entry_point, interpreted, record_type, viewed
 from hilbench.estimation.web_line.balance import BalanceSample
 from hilbench.estimation.web_line.block_means import BLOCK_S, SAME_SPEED
-
-Array = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 #: Interval of the evaluation, s, and the largest and least number of blocks used.
 _LOOK_S = 0.1

@@ -13,12 +13,9 @@ from math import hypot, sqrt
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilbench.compiled import Reals, Reals2, compiled, record_type, rows_of
+from hilbench.compiled import Reals, Reals2, Vector, compiled, record_type, rows_of
 from hilbench.estimation.assumptions import CERTAIN
-
-Vector = NDArray[np.float64]
 
 #: Samples before the step in the comparison: they fix the initial torques.
 BEFORE: Final = 10

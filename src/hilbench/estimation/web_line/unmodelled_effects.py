@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
+from hilbench.arrays import Array
 from hilbench.compiled import VECTOR, entry_point, viewed
 from hilbench.estimation.assumptions import POSITION_FLOOR_M, POSITION_NOISE_M, SEPARABLE, TORQUE_FLOOR_NM
-from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line import unmodelled_filter as filters

@@ -18,8 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from hilbench.arrays import Array
 from hilbench.compiled import compiled
-from hilbench.estimation.bank import Array
 
 #: Largest number of states that are compared.
 SIZE: Final = 13

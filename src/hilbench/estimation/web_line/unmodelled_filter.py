@@ -29,10 +29,10 @@ from math import cos, exp, sin, sqrt
 
 import numpy as np
 
+from hilbench.arrays import Array
 from hilbench.compiled import Record, compiled, inlined, noinline, record_type
 from hilbench.estimation import noise_level
 from hilbench.estimation.assumptions import CERTAIN, LATE, MOST_SQUARE, SHAKING
-from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line import periodic_disturbance, unmodelled_evidence
 from hilbench.estimation.web_line.unmodelled_evidence import EVIDENCE
 

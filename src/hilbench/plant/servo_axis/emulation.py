@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, TABLE, Reals, Vector, Wholes, arrays_in, entry_point, record_at, table_of
-from hilbench.plant.in_step import CompiledInStep
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.measured_motion import (
     HasFollowed,
+    InStep,
     MeasuredMotion,
     MotionVectors,
     ahead_s,
@@ -115,7 +115,7 @@ class EmulatedShaft:
     ) -> None:
         of_shaft = tuple(e for e in emulated.effects if emulated_effect_problem(e.effect, e.axis) is None)
         known = real.axis.model_copy(update={"effects": ()})
-        self._machine = Shaft(emulated.model_copy(update={"effects": of_shaft}), None, (), 1)
+        self._machine = Shaft(emulated.model_copy(update={"effects": of_shaft}), None, ())
         self._real = lay.pack(known, real.load_motor)
         self._filter = TrackingFilter(filter_cycles * cycle_s)
         machine, law, size = self._machine.vectors, np.zeros(LAW.itemsize // 8), (ORDER, ORDER)
@@ -246,7 +246,7 @@ class EmulatedShaft:
             raise ValueError(problem)
 
 
-class ShaftInStep(CompiledInStep):
+class ShaftInStep(InStep):
     """Compiled step of an `EmulatedShaft` on measured motion; see `hilbench.plant.measured_motion.InStep`. It publishes
     no outputs: only parameters are read of it."""
 
@@ -259,17 +259,12 @@ class ShaftInStep(CompiledInStep):
         super().__init__(_follow, FOLLOWED, torques_Nm, cycle)
 
     @property
-    def usable(self) -> bool:
-        """Always True."""
-        return True
-
-    @property
     def is_shown(self) -> bool:
         """True if nothing was changed since the last step."""
         return not self._shaft._stale
 
     def has_followed(self, code: int) -> HasFollowed:
-        """Result of a step by its return code; see `InStep`."""
+        """Result of a step by its return code."""
         if code == NOTHING:
             return HasFollowed.NOT
         if code == ANOTHER_TIME:

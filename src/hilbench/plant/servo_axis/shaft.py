@@ -63,11 +63,10 @@ class Shaft(SimulatedLine):
         parameters: ServoAxisParameters,
         load_motor: LoadMotorParameters | None,
         ports: Sequence[MotorPort],
-        substeps: int,
         sensors: Sequence[SensorParameters] = (),
         seed: int = 0,
     ) -> None:
-        p = lay.pack(parameters, load_motor, substeps)
+        p = lay.pack(parameters, load_motor)
         super().__init__(p, lay.new_state(p), ports, "rad", IDS, {}, sensors=sensors, seed=seed)
         columns = self._layout.columns
         places = (columns[name].start for name in ("x_m", "v_m_s", "mean_tau_Nm"))
@@ -111,13 +110,11 @@ class ServoAxis(Shaft):
     """Closed model, a `Plant` with one motor. Raises ValueError for unfit ports, or a port on a model without
     drives."""
 
-    def __init__(
-        self, parameters: ServoAxisParameters, ports: Sequence[MotorPort] | None = None, *, substeps: int = 1
-    ) -> None:
+    def __init__(self, parameters: ServoAxisParameters, ports: Sequence[MotorPort] | None = None) -> None:
         if ports is not None and (parameters.drives is None or len(ports) != 1):
             raise ValueError(f"{len(ports)} ports, expected a model with drives and one port")
         self.parameters = parameters
-        super().__init__(parameters, None, ports or (), substeps)
+        super().__init__(parameters, None, ports or ())
 
 
 class ServoRig(Shaft):
@@ -129,13 +126,11 @@ class ServoRig(Shaft):
     the axis has drives.
     """
 
-    def __init__(
-        self, parameters: ServoRigParameters, ports: Sequence[MotorPort], seed: int = 0, *, substeps: int = 1
-    ) -> None:
+    def __init__(self, parameters: ServoRigParameters, ports: Sequence[MotorPort], seed: int = 0) -> None:
         if len(ports) != 2 or parameters.axis.drives is None:
             raise ValueError(f"{len(ports)} ports, expected those of the axis and the load motor, and drives")
         sensors = parameters.sensors, parameters.load_sensors
-        super().__init__(parameters.axis, parameters.load_motor, ports, substeps, sensors, seed)
+        super().__init__(parameters.axis, parameters.load_motor, ports, sensors, seed)
 
 
 def _description(motors: int) -> PlantDescription:

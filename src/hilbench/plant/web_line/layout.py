@@ -27,9 +27,9 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hilbench.compiled import record_at, record_type
+from hilbench.compiled import Vector, record_at, record_type
 from hilbench.plant.drive_loops import DRIVE as DRIVE
 from hilbench.plant.drive_loops import DRIVE_INPUT as DRIVE_INPUT
 from hilbench.plant.effect import Domain, Effect, MachineKind, Section
@@ -38,8 +38,6 @@ from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, per_item
 from hilbench.plant.web_line.parameters import ModelParameters, places_of
 from hilbench.plant.web_line.stations import IdlerRollers, LineCarriage, Reel, Station, station_name
-
-Vector = NDArray[np.float64]
 
 
 def _row_of(effect: Effect) -> str:

@@ -5,17 +5,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hilbench.compiled import COUNT, TABLE, Reals, Wholes, arrays_in, compiled, entry_point, record_type
+from hilbench.compiled import COUNT, TABLE, Reals, Table, Wholes, arrays_in, compiled, entry_point, record_type
 from hilbench.compiled import records as array_of
 from hilbench.plant.measured_motion import MotionVectors, ahead_s, elapsed_s, publish, take
 from hilbench.plant.web_line import kernel, line_kernel, line_vectors, records, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.line_kernel import FollowedLine
 
-Table = NDArray[np.int64]
 #: A load motor: its driven roller, from 0, and rad per m at its shaft; whether the web loads it.
 LOAD: Final = record_type("roller", "rad_per_m", "loaded")
 

@@ -18,9 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from hilbench.compiled import Vector, table_of
 from hilbench.plant.effect import EffectPlace
 from hilbench.plant.effects import effects_of
-from hilbench.plant.in_step import CompiledInStep
 from hilbench.plant.interface import PlantDescription, Quantity, checked_name
-from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion
+from hilbench.plant.measured_motion import HasFollowed, InStep, MeasuredMotion
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_cycle, line_kernel
 from hilbench.plant.web_line.line import Line
@@ -329,7 +328,7 @@ class LineFollower(Line):
             self._torn_Pa = None
 
 
-class LineInStep(CompiledInStep):
+class LineInStep(InStep):
     """Compiled step of a `LineFollower` on measured motion; see `hilbench.plant.measured_motion.InStep`."""
 
     def __init__(self, line: LineFollower, motion: MeasuredMotion, axes: Sequence[int]) -> None:
@@ -345,13 +344,8 @@ class LineInStep(CompiledInStep):
         """True if the web is not broken."""
         return not self._line.is_torn
 
-    @property
-    def is_shown(self) -> bool:
-        """True: a change acts at the next step."""
-        return True
-
     def has_followed(self, code: int) -> HasFollowed:
-        """Result of a step by its return code; see `InStep`."""
+        """Result of a step by its return code."""
         return HasFollowed.NOT if code == line_cycle.NOTHING else HasFollowed.ALL
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from math import sin
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.compiled import MATRIX, REAL, VECTOR, Vector, entry_point
 from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.sampling import on_all_cores
@@ -20,8 +20,6 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.inverse import reported_torque_Nm, true_motion
 from hilbench.plant.web_line.layout import Layout
 from hilbench.plant.web_line.parameters import ModelParameters
-
-Array = NDArray[np.float64]
 
 
 @entry_point(VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX, REAL, MATRIX, MATRIX, MATRIX)

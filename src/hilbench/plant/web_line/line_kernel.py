@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Matrix
 from hilbench.compiled import (
     COUNT,
     MATRIX,
@@ -19,6 +19,7 @@ from hilbench.compiled import (
     Reals,
     Reals2,
     Record,
+    Table,
     Vector,
     Wholes,
     arrays_in,
@@ -34,9 +35,6 @@ from hilbench.plant.web_line import kernel, laws, line_vectors, motion, records,
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.records import LineArrays
-
-Matrix = NDArray[np.float64]
-Table = NDArray[np.int64]
 
 #: Longest integration step unless a roller needs a shorter one; the error of a step is of order (v·h/L)^5/120, below
 #: rounding on the demonstrator.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hilbench.compiled import Record, inlined, merged, record_in
+from hilbench.compiled import Record, Vector, inlined, merged, record_in
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import (
     A_SIZE,
@@ -25,7 +25,6 @@ from hilbench.plant.web_line.layout import (
     W_SIZE,
     WEB,
     WEB_PIECES,
-    Vector,
 )
 
 

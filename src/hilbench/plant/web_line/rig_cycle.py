@@ -5,18 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, TABLE, Reals, Reals2, Vector, Wholes, arrays_in, compiled, entry_point
+from hilbench.compiled import COUNT, TABLE, Reals, Reals2, Table, Vector, Wholes, arrays_in, compiled, entry_point
 from hilbench.cycle_program import CONTINUE
+from hilbench.plant.motor_port import FEEDBACK_SIZE
 from hilbench.plant.sensor_rows import ALWAYS_FIRST
 from hilbench.plant.web_line import kernel, records
 from hilbench.plant.web_line.line_vectors import LineVectors, arrays
 
-Table = NDArray[np.int64]
-#: Feedback of a motor, in the order of `hilbench.plant.motor_port.MotorPort`: position, velocity, torque, reference,
-#: torque limited (1) or not (0).
-SHOWN = 5
 #: Of each motor: standard deviations of position, velocity and torque, and the encoder's increment.
 SENSOR = 4
 #: Result of `step_noisy` when the normal numbers have to be drawn anew, and nothing was done.
@@ -25,7 +21,8 @@ DRAW = 1
 
 class RigArrays(NamedTuple):
     """A line and what its motors get and show: rows of the motors with ports (M,), their set points (M,), figures of
-    their sensors (M · SENSOR,), their feedback (M · SHOWN,)."""
+    their sensors (M · SENSOR,), their feedback (M · FEEDBACK_SIZE,), as of
+    `hilbench.plant.motor_port`."""
 
     line: LineVectors
     motors: Wholes
@@ -47,7 +44,7 @@ def show(rig: RigArrays, noise: Vector) -> None:
     """Write the motors' feedback from the observed values, with normal numbers (3 · M,)."""
     line, out, sensors, shown = arrays(rig.line), rig.line.out, rig.sensors, rig.shown
     for k in range(len(rig.motors)):
-        j, at, of, count = rig.motors[k], k * SHOWN, k * SENSOR, line.m
+        j, at, of, count = rig.motors[k], k * FEEDBACK_SIZE, k * SENSOR, line.m
         rad_per_m, drive = records.motor(line, j).rad_per_m, records.drive(line, j)
         position = out[j] * rad_per_m + sensors[of] * noise[3 * k]
         counts = sensors[of + 3]

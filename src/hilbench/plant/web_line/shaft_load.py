@@ -11,14 +11,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hilbench.arrays import Matrix
 from hilbench.compiled import MATRIX, REAL, VECTOR, Reals, Reals2, Vector, compiled, entry_point, inlined, record_type
 from hilbench.plant.web_line import kernel, laws, records
 from hilbench.plant.web_line.records import LineArrays
-
-Matrix = NDArray[np.float64]
 
 #: Figures of the law: dead time of the torque, s; slope of the dry friction at standstill, N·m·s/rad; largest possible
 #: acceleration, rad/s²: more is a sample of another instant than assumed. A bus cycle, s; torque sent next, N·m; speed

@@ -21,15 +21,14 @@ from hilbench.plant.drive_loops import OFF
 from hilbench.plant.effect import Effect, MachineKind
 from hilbench.plant.effects import find_effect
 from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
-from hilbench.plant.motor_port import MotorPort
+from hilbench.plant.motor_port import FEEDBACK_SIZE, MotorPort
 from hilbench.plant.sampling import locked_sample_time_s, samples_per
 from hilbench.plant.sensor_rows import chained_with_noise, silence
 from hilbench.plant.sensors import SensorNoise, SensorParameters
 from hilbench.plant.web_line import kernel, rig_cycle
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.layout import Layout
+from hilbench.plant.web_line.layout import DRIVE, Layout, column
 from hilbench.plant.web_line.line_vectors import LineVectors
-from hilbench.plant.web_line.ports import read_ports
 
 KIND = MachineKind.WEB_LINE
 YOUNGS_MODULUS = Quantity("youngs_modulus_Pa", "Pa", "Young's modulus E of the web, without the effects on it")
@@ -210,7 +209,7 @@ class SimulatedLine:
         figures = [each.figures for each in sensors] or np.zeros((len(shown), rig_cycle.SENSOR))
         self._figures = np.array(figures, dtype=float).reshape(-1)
         self._silence, self._always = silence(len(shown))
-        self._shown = np.zeros(rig_cycle.SHOWN * len(shown))
+        self._shown = np.zeros(FEEDBACK_SIZE * len(shown))
         self._show = self._stage(0, self._shown, self._shown)
         axis_of = {row: number for number, row in enumerate(self._driven, 1)}
         self._per_m = [1.0 if unit == "m" else float(rows[row].rad_per_m) for row in self._driven]
@@ -325,7 +324,7 @@ class SimulatedLine:
         """Write the outputs `out` of changed vectors to the ports."""
         if self._ports:
             self._show()
-            for port, shown in zip(self._ports, self._shown.reshape(-1, rig_cycle.SHOWN).tolist(), strict=True):
+            for port, shown in zip(self._ports, self._shown.reshape(-1, FEEDBACK_SIZE).tolist(), strict=True):
                 port.feedback = shown
 
     def _refresh(self) -> None:
@@ -480,3 +479,17 @@ def _inputs(spans: int) -> tuple[Quantity, ...]:
         return ()
     rates = (Quantity(f"length_rate{k}_m_s", "m/s", f"growth of the length of span {k}") for k in range(1, spans + 1))
     return (*boundary_names(), *rates)
+
+
+def read_ports(
+    layout: Layout, motors: Sequence[int], ports: Sequence[MotorPort], state: Vector, inputs: Vector
+) -> None:
+    """Read set points of the ports into the inputs; clears the torque-limited flags.
+
+    `motors`: the kernel's motor, from 0, of each port.
+    """
+    for motor, port in zip(motors, ports, strict=False):
+        at = lay.U_MOTORS + motor * lay.UM_SIZE
+        inputs[at : at + lay.UM_SIZE] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
+    first = layout.first_drive + column(DRIVE, "limited")
+    state[first : first + layout.motors * lay.DRIVE_SIZE : lay.DRIVE_SIZE] = 0.0

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.compiled import (
     COUNT,
@@ -20,6 +19,7 @@ from hilbench.compiled import (
     VECTOR,
     Reals,
     Reals2,
+    Table,
     Vector,
     Wholes,
     arrays_in,
@@ -35,7 +35,6 @@ from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.records import LineArrays
 from hilbench.plant.web_line.shaft_load import ShaftLoad, emulate_shaft
 
-Table = NDArray[np.int64]
 #: A bus cycle, and the dead time from measured motion to the torque of a load motor, s.
 TIMES: Final = record_type("cycle_s", "lead_s")
 

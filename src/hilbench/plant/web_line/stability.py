@@ -32,9 +32,9 @@ def spectral_radius(shaft: SampledShaft, stiffness_Nm_per_rad: float, lead_s: fl
     return spectral_radius_under(shaft, _spring(shaft, stiffness_Nm_per_rad, lead_s))
 
 
-def largest_stiffness_Nm_per_rad(shaft: SampledShaft, lead_s: float = 0.0, most: float = 1e6) -> float:
-    """Largest spring at the shaft that is stable (at most `most`); a web's is E·S/L·(r/i)²."""
-    return largest_stable(lambda k: spectral_radius(shaft, k, lead_s), most)
+def largest_stiffness_Nm_per_rad(shaft: SampledShaft, lead_s: float = 0.0) -> float:
+    """Largest spring at the shaft that is stable (at most 1e6); a web's is E·S/L·(r/i)²."""
+    return largest_stable(lambda k: spectral_radius(shaft, k, lead_s), 1e6)
 
 
 def _spring(shaft: SampledShaft, stiffness: float, lead_s: float) -> LinearLaw:

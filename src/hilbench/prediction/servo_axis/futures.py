@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.compiled import table_of
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import per_item
@@ -24,8 +24,6 @@ from hilbench.prediction.futures import Futures
 from hilbench.prediction.outlook import Outlook, WatchedQuantity
 from hilbench.prediction.servo_axis import kernel
 from hilbench.prediction.tally import Offsets, Tally, whole_step_s
-
-Array = NDArray[np.float64]
 
 #: Inertia of a future is at least this share of the estimate.
 _LEAST_INERTIA_SHARE: Final = 0.05

@@ -8,8 +8,8 @@ from math import sqrt
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.compiled import interpreted, record_at, table_of
 from hilbench.control.web_line.feed_forward import ROLLER
 from hilbench.control.web_line.strain_trajectory import TRAJECTORY
@@ -25,8 +25,6 @@ from hilbench.prediction.futures import Futures
 from hilbench.prediction.outlook import Outlook, WatchedQuantity
 from hilbench.prediction.tally import Offsets, Tally, whole_step_s
 from hilbench.prediction.web_line import kernel
-
-Array = NDArray[np.float64]
 
 #: Longest step, s: the drives' loops act once in it, and with more the torques where a ramp begins are off by more than
 #: 2 % of the control action.

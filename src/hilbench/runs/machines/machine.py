@@ -8,10 +8,10 @@ from math import isinf
 
 import numpy as np
 
+from hilbench.arrays import Array
 from hilbench.runs.figures import ESTIMATE_BAND, noise_pct, still_settling
 from hilbench.runs.segment import (
     NOISE_PEAK,
-    Array,
     Figure,
     Metric,
     Segment,

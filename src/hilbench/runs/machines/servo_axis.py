@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
+from hilbench.arrays import Array
 from hilbench.runs.machines.machine import Estimate, MachineMetrics, nothing_to_judge, speed_metrics
-from hilbench.runs.segment import Array, Metric, Segment
+from hilbench.runs.segment import Metric, Segment
 from hilbench.topology.main_quantities.servo_axis import FRICTION, INERTIA, SPEED
 from hilbench.topology.signals import Shape
 

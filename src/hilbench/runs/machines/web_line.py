@@ -10,9 +10,17 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.runs.figures import SPEED_BAND, mean_velocity
 from hilbench.runs.machines.machine import NO_STEP, Estimate, MachineMetrics, nothing_to_judge, speed_metrics
-from hilbench.runs.segment import Array, Figure, Metric, Segment, UnknownFigureError, after_a_step, after_a_step_of
+from hilbench.runs.segment import (
+    Figure,
+    Metric,
+    Segment,
+    UnknownFigureError,
+    after_a_step,
+    after_a_step_of,
+)
 from hilbench.topology.main_quantities.web_line import SMALLEST, line_speed, modulus, set_point
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_signals import tension_loop_words

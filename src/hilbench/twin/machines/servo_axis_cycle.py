@@ -23,6 +23,7 @@ from hilbench.estimation.bank import Places
 from hilbench.estimation.plausibility import PLAUSIBILITY, find_problem
 from hilbench.estimation.servo_axis import inertia
 from hilbench.estimation.servo_axis.inertia import InertiaArrays
+from hilbench.plant.motor_port import TORQUE
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.web_line import kernel, laws, records, rig_cycle
 from hilbench.plant.web_line.line_vectors import arrays
@@ -43,9 +44,8 @@ PUBLISHED: Final = record_type(
     *("viscous_Nm_s_per_rad", "viscous_sd"),
     of=np.int64,
 )
-#: Column of the mean torque in the kernel's report; offsets of position and torque in the measurement, and of the
-#: torque in the motor's feedback.
-_MEAN, _POSITION, _TORQUE = 3, 0, 2
+#: Column of the mean torque in the kernel's report; offset of the position in the measurement.
+_MEAN, _POSITION = 3, 0
 _NUMBERS = 0x10000
 
 
@@ -90,7 +90,7 @@ def _publish(a: ShaftArrays) -> None:
     values[at.inertia_kg_m2] = stated.inertia_kg_m2
     values[at.coulomb_Nm] = outputs.coulomb_Nm
     values[at.deviation_kg_m2] = stated.deviation_kg_m2
-    values[at.torque_sim_Nm] = a.noisy.rig.shown[_TORQUE]
+    values[at.torque_sim_Nm] = a.noisy.rig.shown[TORQUE]
     values[at.torque_residual_Nm] = outputs.residual_Nm
     values[at.coulomb_sd_Nm] = stated.coulomb_sd
     values[at.viscous_Nm_s_per_rad] = outputs.viscous_Nm_s_per_rad
@@ -114,8 +114,8 @@ def _status(stated: Record, problem: float, known: float) -> int:
 def run(stage: int, table: Places) -> int:
     a = arrays_in(table, ShaftArrays)
     outputs, whole, at = a.outputs, a.whole, a.at
-    position_rad, torque_Nm = a.measured[_POSITION], a.measured[_TORQUE]
-    simulated_Nm = a.noisy.rig.shown[_TORQUE]
+    position_rad, torque_Nm = a.measured[_POSITION], a.measured[TORQUE]
+    simulated_Nm = a.noisy.rig.shown[TORQUE]
     outputs.residual_Nm, outputs.problem_before = torque_Nm - simulated_Nm, outputs.problem
     outputs.problem = find_problem(a.plausibility, torque_Nm, 1.0, position_rad)
     if outputs.problem != 0.0:

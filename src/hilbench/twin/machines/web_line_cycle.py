@@ -38,6 +38,7 @@ from hilbench.estimation.web_line.span_estimator import SpanEstimator
 from hilbench.estimation.web_line.span_estimator_cycle import SpanEstimatorArrays, run_arrays
 from hilbench.estimation.web_line.splices import SUMS
 from hilbench.estimation.web_line.synchronizers import filters
+from hilbench.plant.motor_port import FEEDBACK_SIZE, TORQUE
 from hilbench.plant.sample_coherence import STEADY, IncrementCheck, SampleCoherence, coherent, increments_steadily
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_vectors, records, rig_cycle
@@ -82,8 +83,8 @@ _AT: Final = record_type("strain_prev", "F_next_N", "number", "status", of=np.in
 _PUBLISHED: Final = record_type(
     *("F_sim_N", "E_sim_Pa", "E_deviation_Pa", "torque_sim_Nm", "torque_residual_Nm"), of=np.int64
 )
-#: Size of an axis's measurement, and offset of the torque in it and in a motor's feedback.
-_MEASURED_SIZE, _TORQUE = 4, 2
+#: Size of an axis's measurement, in which the torque has the place that it has in a motor's feedback.
+_MEASURED_SIZE = 4
 _NUMBERS = 0x10000
 
 
@@ -138,7 +139,7 @@ def _measured(a: _LineArrays) -> bool:
     if figures.ripples != 0.0:
         line_vectors.torque_ripples(a.line.p, a.line.s, a.motors, int(figures.samples), torques_Nm)
     for axis in range(len(x_m)):
-        torque_Nm = measured[_MEASURED_SIZE * axis + _TORQUE]
+        torque_Nm = measured[_MEASURED_SIZE * axis + TORQUE]
         torques_Nm[axis] = torque_Nm + torques_Nm[axis] if figures.ripples != 0.0 else torque_Nm
     if len(x_m) > 2:
         rollers.take(a.rollers, x_m, torques_Nm, figures.cycle_s)
@@ -167,8 +168,8 @@ def _compare(a: _LineArrays, table: Places, first: int, strain_prev: float, F_ne
         if v.balance.s.started == balance.NOT_STARTED:
             a.figures.at_span = k
             return _PLACE
-        at = rig_cycle.SHOWN * (place + 1) + _TORQUE
-        span.residual_Nm = a.measured[_MEASURED_SIZE * (place + 1) + _TORQUE] - t.shift_Nm - shown[at]
+        at = FEEDBACK_SIZE * (place + 1) + TORQUE
+        span.residual_Nm = a.measured[_MEASURED_SIZE * (place + 1) + TORQUE] - t.shift_Nm - shown[at]
         torque_Nm, centre_m, strain_behind = a.torques_Nm[place + 1], nan, span.behind_strain
         if len(x_m) > 2:
             behind_N = 0.0  # of the motors behind, less their rollers' resistance
@@ -178,7 +179,7 @@ def _compare(a: _LineArrays, table: Places, first: int, strain_prev: float, F_ne
             centre_m = rollers.centre_m(a.rollers, place + 2)
         torque_sim_Nm = 0.0  # of all motors after the span, referred to the first of them
         for axis in range(place + 1, len(rad_per_m)):
-            torque_sim_Nm += shown[rig_cycle.SHOWN * axis + _TORQUE] * (rad_per_m[axis] / rad_per_m[place + 1])
+            torque_sim_Nm += shown[FEEDBACK_SIZE * axis + TORQUE] * (rad_per_m[axis] / rad_per_m[place + 1])
         if isnan(strain_behind) and k + 1 < len(spans):
             behind = _of_span(table, k + 1)
             strain_behind = balance.strain(behind.balance) * behind.t.series_factor
@@ -213,7 +214,7 @@ def _publish(a: _LineArrays, table: Places, compared: bool) -> tuple[int, bool]:
         values[at.F_sim_N] = line_vectors.tension_N(a.line, k)
         values[at.E_sim_Pa] = factor * t.modulus_Pa
         values[at.E_deviation_Pa] = factor * t.deviation_Pa
-        values[at.torque_sim_Nm] = a.shown[rig_cycle.SHOWN * (k + 1) + _TORQUE]
+        values[at.torque_sim_Nm] = a.shown[FEEDBACK_SIZE * (k + 1) + TORQUE]
         values[at.torque_residual_Nm] = spans[k].residual_Nm
         if not cycle.is_synchronized(t, spans[k].known_pct):
             synchronized = 0
@@ -293,7 +294,7 @@ class LineCycle:
         self.spans = np.array(rows, _SPAN)  #: of each estimator
         tracker, sums = (np.zeros(1, TRACKER), np.zeros(1, SUMS)) if passage is None else passage.arrays
         rad_per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, axes + 1)])
-        own = np.zeros(_MEASURED_SIZE * axes), np.zeros(axes), np.zeros(rig_cycle.SHOWN * axes)
+        own = np.zeros(_MEASURED_SIZE * axes), np.zeros(axes), np.zeros(FEEDBACK_SIZE * axes)
         self._by_object = _LineArrays(
             *(travels, self.steady.vector, self._figures, self.spans, rad_per_m, self._positions_m, np.zeros(axes)),
             *own,
@@ -321,8 +322,8 @@ class LineCycle:
         """Compare measured positions and torques (N,), and simulated torques, of the motors; returns the positions at
         the web, None if they are not coherent (of one instant)."""
         own = self._own
-        own.measured[::_MEASURED_SIZE], own.measured[_TORQUE::_MEASURED_SIZE] = positions_rad, torques_Nm
-        own.shown[_TORQUE :: rig_cycle.SHOWN] = simulated_Nm
+        own.measured[::_MEASURED_SIZE], own.measured[TORQUE::_MEASURED_SIZE] = positions_rad, torques_Nm
+        own.shown[TORQUE::FEEDBACK_SIZE] = simulated_Nm
         own.values[:] = strain_prev, F_next_N
         if self._figures["ripples"][0] and not self._figures["samples"][0]:
             self._figures["samples"] = self._plant.step_in_vectors(self._cycle_s).samples

@@ -31,6 +31,7 @@ from hilbench.estimation import noise_level
 from hilbench.estimation.bank import Places
 from hilbench.estimation.web_line import transients
 from hilbench.estimation.web_line.transients import TransientArrays
+from hilbench.plant.motor_port import FEEDBACK_SIZE, LIMITED, TORQUE
 from hilbench.plant.sample_coherence import OWN, coherent, own_travels
 from hilbench.plant.web_line import drive_response, kernel, line_kernel, line_vectors, rig_cycle
 from hilbench.plant.web_line import layout as lay
@@ -76,7 +77,7 @@ SENSOR: Final = record_type("scale", "carriage", "cell", "axis", "own")
 WATCH: Final = record_type("time_s", "count", "last", "doubtful", "since_s", "problem", "belied", "suspended")
 #: Places in the integers of SYNC number and status.
 AT: Final = record_type("number", "status", of=np.int64)
-_MEASURED_SIZE, _TORQUE, _LIMITED = 4, 2, 4
+_MEASURED_SIZE = 4
 _NUMBERS = 0x10000
 
 
@@ -158,7 +159,7 @@ def _follow(a: StationsArrays, table: Places) -> bool:
     x_m, twin, f, elapsed = a.positions_m, a.twin, a.filter.state, a.twin.missed + 1.0
     for k in range(len(x_m)):
         x_m[k] = a.measured[_MEASURED_SIZE * k] * a.m_per_rad[k]
-        a.torques_Nm[k] = a.measured[_MEASURED_SIZE * k + _TORQUE]
+        a.torques_Nm[k] = a.measured[_MEASURED_SIZE * k + TORQUE]
     if twin.own_travels == 0.0:
         usable = coherent(a.travels, x_m, twin.least_travel_m)
     else:
@@ -168,7 +169,7 @@ def _follow(a: StationsArrays, table: Places) -> bool:
         return False
     copies, answered = arrays_in(table[_COPIES:], Copies), a.filter.response.torques
     for k in range(len(x_m)):
-        simulated_Nm = a.rig.shown[rig_cycle.SHOWN * k + _TORQUE]
+        simulated_Nm = a.rig.shown[FEEDBACK_SIZE * k + TORQUE]
         a.residuals_Nm[k] = a.torques_Nm[k] - simulated_Nm - answered[k, answered.shape[1] - 1]
         copies.x[k] = x_m[k]
     if twin.missed == 0.0:
@@ -221,7 +222,7 @@ def _look_for_breaks(a: StationsArrays, first: FollowedLine, tensions_N: Reals) 
     v, w, twin, line, shown = a.watch, a.watch.state, a.twin, line_vectors.arrays(first.line), a.rig.shown
     twin.limited, at, out = 0.0, int(w.count), first.line.out
     for k in range(len(a.positions_m)):
-        twin.limited = max(twin.limited, shown[rig_cycle.SHOWN * k + _LIMITED])
+        twin.limited = max(twin.limited, shown[FEEDBACK_SIZE * k + LIMITED])
     if twin.limited != 0.0 or twin.frozen != 0.0:
         w.count = 0.0
         return bool(w.suspended == 0.0)
@@ -292,7 +293,7 @@ def _publish(a: StationsArrays, copies: Copies) -> int:
         axis = int(span.axis)
         if axis >= 0:
             values[at[place]], values[at[place + 1]] = span.modulus_Pa, span.deviation_Pa
-            shown_Nm = a.rig.shown[rig_cycle.SHOWN * axis + _TORQUE]
+            shown_Nm = a.rig.shown[FEEDBACK_SIZE * axis + TORQUE]
             values[at[place + 2]] = shown_Nm + missing_Nm[axis, missing_Nm.shape[1] - 1]
             values[at[place + 3]] = a.residuals_Nm[axis]
             place += 4

@@ -20,7 +20,7 @@ from hilbench.compiled import table_of
 from hilbench.cycle_program import CompiledStage
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.config import EstimationConfig
-from hilbench.plant.motor_port import MotorPort
+from hilbench.plant.motor_port import FEEDBACK_SIZE, MotorPort
 from hilbench.plant.sample_coherence import OwnIncrements, SampleCoherence, play
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import rig_cycle
@@ -200,7 +200,7 @@ class LineWithStationsTwin(OneMethod):
             return False
         own = self._own
         own.measured[::4], own.measured[2::4] = zip(*measured, strict=True)
-        own.rig.shown.reshape(-1, rig_cycle.SHOWN)[:] = [port.feedback for port in self.ports]
+        own.rig.shown.reshape(-1, FEEDBACK_SIZE)[:] = [port.feedback for port in self.ports]
         self._take_inputs()
         self._twin["time_s"] = time_s
         if self.go_on_from(cycle.run(cycle.BEGIN, self._table)) == MISSED:

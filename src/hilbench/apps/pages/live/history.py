@@ -14,10 +14,11 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
+
 Weight = Literal["note", "warning", "fault", "operator"]
 
 _KEPT: Final = 400
-Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
 #: What is kept sample by sample, s, and how many samples at most.

@@ -14,8 +14,9 @@ import numpy as np
 
 from hilbench.apps.library.live_run import LiveRun
 from hilbench.apps.monitor.condition import START_ALL
-from hilbench.apps.pages.live.history import Array, History
+from hilbench.apps.pages.live.history import History
 from hilbench.apps.pages.live.machines.kinds import settled
+from hilbench.arrays import Array
 from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
 from hilbench.canopen.identifiers import NMT, SYNC

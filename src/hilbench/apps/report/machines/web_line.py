@@ -17,7 +17,6 @@ from hilbench.apps.report.panel import (
     COMMAND_DASH,
     DASHED,
     SMOOTHING_S,
-    Array,
     Compared,
     MachinePanels,
     Panel,
@@ -26,6 +25,7 @@ from hilbench.apps.report.panel import (
     ShownRun,
     estimate,
 )
+from hilbench.arrays import Array
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording
 from hilbench.runs.config import load_with_overrides

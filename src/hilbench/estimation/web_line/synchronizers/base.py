@@ -7,8 +7,8 @@ from math import sqrt
 
 import numpy as np
 
+from hilbench.arrays import Array
 from hilbench.estimation.assumptions import SEPARABLE
-from hilbench.estimation.bank import Array
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
 from hilbench.estimation.web_line.config import AlsoEstimated, InputConfig, OnBalance

@@ -9,11 +9,10 @@ from hilbench.estimation.web_line.config import SynchronizerConfig
 from hilbench.estimation.web_line.synchronizers.base import Plant, Synchronizer
 from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSynchronizer
 from hilbench.estimation.web_line.synchronizers.ekf import EkfSynchronizer
-from hilbench.estimation.web_line.synchronizers.global_search import GlobalSynchronizer
 from hilbench.estimation.web_line.synchronizers.input_observer import InputSynchronizer
-from hilbench.estimation.web_line.synchronizers.lm import LmSynchronizer
 from hilbench.estimation.web_line.synchronizers.pid import PidSynchronizer
 from hilbench.estimation.web_line.synchronizers.rls import RlsSynchronizer
+from hilbench.estimation.web_line.synchronizers.window import GlobalSynchronizer, LmSynchronizer
 
 #: By the name of the method in configs.
 _METHODS: Mapping[str, Callable[[Any, Plant], Synchronizer]] = {

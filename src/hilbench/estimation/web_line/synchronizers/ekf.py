@@ -12,7 +12,7 @@ from math import sqrt
 
 import numpy as np
 
-from hilbench.estimation.bank import Array
+from hilbench.arrays import Array
 from hilbench.estimation.web_line.config import EkfConfig
 from hilbench.estimation.web_line.synchronizers import filters, kalman
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Plant, SyncSample

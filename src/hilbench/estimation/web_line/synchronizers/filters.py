@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 
+from hilbench.arrays import Array
 from hilbench.compiled import (
     COUNT,
     TABLE,
@@ -24,7 +25,7 @@ from hilbench.compiled import (
 )
 from hilbench.estimation import bank, motion_filter, noise_level
 from hilbench.estimation.assumptions import POSITION_FLOOR_M, POSITION_NOISE_M, SEPARABLE, SHAKING, TORQUE_FLOOR_NM
-from hilbench.estimation.bank import Array, BankArrays, Places
+from hilbench.estimation.bank import BankArrays, Places
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.web_line.config import ChangepointConfig, EkfConfig
 from hilbench.estimation.web_line.synchronizers import kalman

@@ -15,8 +15,9 @@ from typing import Final
 
 import numpy as np
 
+from hilbench.arrays import Array
 from hilbench.compiled import Record, compiled
-from hilbench.estimation.bank import Array, BankArrays
+from hilbench.estimation.bank import BankArrays
 from hilbench.estimation.motion_filter import COMMON, MOST_NUISANCES, NUISANCE, PARAMETER, advance
 
 E = PARAMETER

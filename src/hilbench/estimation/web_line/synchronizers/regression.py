@@ -11,12 +11,10 @@ from __future__ import annotations
 from math import exp
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.compiled import MATRIX, REAL, VECTOR, entry_point
 from hilbench.estimation.web_line.synchronizers.base import Plant, SyncSample
-
-Array = NDArray[np.float64]
 
 #: Time constant of the filter: above the cycle, below the loops of the drives.
 FILTER_S = 0.004

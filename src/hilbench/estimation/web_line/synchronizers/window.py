@@ -1,9 +1,12 @@
-"""Moving window of rows of the filtered balance, and the base of methods that fit it at intervals."""
+"""Methods that fit a moving window of rows of the filtered balance at intervals: least squares, and a search."""
 
 from __future__ import annotations
 
+from concurrent.futures import Future, ThreadPoolExecutor
+
 import numpy as np
 
+from hilbench.arrays import Array
 from hilbench.estimation.web_line.config import GlobalConfig, LmConfig
 from hilbench.estimation.web_line.synchronizers.base import (
     Estimate,
@@ -13,7 +16,10 @@ from hilbench.estimation.web_line.synchronizers.base import (
     estimate_of,
     prior_deviations,
 )
-from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, Array, RegressionRows, noise_gain
+from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, RegressionRows, noise_gain
+
+#: Bounds of a nuisance in a search, in prior deviations.
+_NUISANCE_RANGE = 4.0
 
 
 class FittedToWindow(HeldSynchronizer):
@@ -75,3 +81,72 @@ class FittedToWindow(HeldSynchronizer):
         information[1:, 1:] += np.diag(1.0 / self._priors[self._active[1:]] ** 2)
         deviations = self._full(np.sqrt(np.diag(np.linalg.pinv(information))))
         return estimate_of(self._also, self._reference_Pa, self._full(theta), deviations)
+
+
+class LmSynchronizer(FittedToWindow):
+    """Least-squares solution of the window every few cycles, started at the previous one: Levenberg–Marquardt (scipy's
+    MINPACK)."""
+
+    def __init__(self, config: LmConfig, plant: Plant) -> None:
+        super().__init__(config, plant)
+        self._every_cycles = config.every_cycles
+        self._theta = np.array([1.0] + [0.0] * (np.count_nonzero(self._active) - 1))
+        self._cycle = 0
+
+    def update(self, sample: SyncSample) -> Estimate:
+        """Take one row; solve when it is due."""
+        self._cycle += 1
+        if self._add(sample) and self._cycle % self._every_cycles == 0:
+            self._solve()
+        return self._estimate
+
+    def _solve(self) -> None:
+        from scipy.optimize import least_squares  # slow to import: deferred to its use
+
+        rows = self._window()
+
+        def residuals(theta: Array) -> Array:
+            return self._residuals(rows, theta)
+
+        self._theta = least_squares(residuals, self._theta, method="lm").x
+        self._estimate = self._fitted(rows, self._theta)
+
+
+class GlobalSynchronizer(FittedToWindow):
+    """Differential evolution over a bounded range, window after window: finds E without a first guess.
+
+    It takes tens of milliseconds, so it runs in a thread outside the cyclic path, and its result is used a fixed number
+    of cycles after the end of its window: a run in lockstep gives the same estimates on every machine. A later result
+    is waited for in lockstep's own time, or comes a window later.
+    """
+
+    def __init__(self, config: GlobalConfig, plant: Plant) -> None:
+        super().__init__(config, plant)
+        self._latency_cycles, self._seed = config.latency_cycles, config.seed
+        modulus = (config.lower_limit_Pa / self._reference_Pa, config.upper_limit_Pa / self._reference_Pa)
+        self._bounds = [modulus] + [(-_NUISANCE_RANGE * p, _NUISANCE_RANGE * p) for p in self._priors if p > 0.0]
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="global-search")
+        self._search: Future[Estimate] | None = None
+        self._age = 0
+        self._searches = 0
+
+    def update(self, sample: SyncSample) -> Estimate:
+        """Take one row; use a result that is due, and start the next search."""
+        ready = self._add(sample)
+        self._age += 1
+        if self._search is not None and self._age >= self._latency_cycles:
+            self._estimate, self._search = self._search.result(), None
+        if self._search is None and ready:
+            self._searches += 1
+            self._search = self._pool.submit(self._run, self._window(), self._seed + self._searches)
+            self._age = 0
+        return self._estimate
+
+    def _run(self, rows: Array, seed: int) -> Estimate:
+        from scipy.optimize import differential_evolution
+
+        def misfit(theta: Array) -> float:
+            return float(np.sum(self._residuals(rows, theta) ** 2))
+
+        found = differential_evolution(misfit, tuple(self._bounds), seed=seed, tol=1e-8).x
+        return self._fitted(rows, found)

@@ -6,12 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hilbench.arrays import Vector
 from hilbench.plant.interface import Quantity
-
-Vector = NDArray[np.float64]
 
 P, S, U, OUT = "P", "S", "U", "OUT"
 #: Vector of a state element that is set to 0 before each step: a limit flag is that of the step.

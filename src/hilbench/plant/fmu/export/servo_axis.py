@@ -31,7 +31,7 @@ def exported_axis(model: ServoAxisParameters, *, drives: bool) -> ExportedMachin
     """
     if drives and model.drives is None:
         raise ValueError("'drives:' in the machine for an FMU with its drive")
-    machine = Shaft(model, None, (), 1)
+    machine = Shaft(model, None, ())
     vectors, layout = machine.vectors, machine._layout
     p, u = vectors.p.copy(), vectors.u.copy()
     layout.motor_inputs(u).mode = MotorMode.VELOCITY if drives else MotorMode.TORQUE

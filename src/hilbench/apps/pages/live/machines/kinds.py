@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from hilbench.apps.pages.live.history import Array
 from hilbench.apps.report.chart import VARIABLES
 from hilbench.apps.report.panel import Interval, Panel, Series, panels_of
+from hilbench.arrays import Array
 from hilbench.machine_kinds import machine_part
 from hilbench.topology.config import BenchConfig
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from hilbench.apps.pages.live.history import Array
 from hilbench.apps.pages.live.machines import svg
+from hilbench.arrays import Array
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.main_quantities.servo_axis import INERTIA
 

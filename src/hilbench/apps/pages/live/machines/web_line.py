@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Final
 
-from hilbench.apps.pages.live.history import Array
 from hilbench.apps.pages.live.machines import svg
 from hilbench.apps.report.web_line_drawing import DrawnRoller, placed_rollers, web_path
+from hilbench.arrays import Array
 from hilbench.plant.web_line.stations import CarriageStation
 from hilbench.topology.config import BenchConfig
 

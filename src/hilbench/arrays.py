@@ -1,0 +1,11 @@
+"""Types of NumPy arrays by what annotations call them; those of compiled functions are in `hilbench.compiled`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]  #: of any shape
+Vector = NDArray[np.float64]  #: (n,)
+Matrix = NDArray[np.float64]  #: (n, m)
+Rows = NDArray[np.bool_]  #: (n,): which rows
