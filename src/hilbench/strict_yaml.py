@@ -18,7 +18,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from hilbench.did_you_mean import did_you_mean
-from hilbench.errors import UnusableInputError
+from hilbench.errors import UnusableInputError, one_line
 from hilbench.files import content, usable
 from hilbench.pydantic_messages import expected
 
@@ -212,7 +212,7 @@ def parse_value(text: str, place: str) -> Any:
         loader, root = _composed(text)
         return None if root is None else loader.construct_document(root)
     except (yaml.YAMLError, RecursionError) as error:
-        raise UnusableInputError(place, f"{text!r} is no YAML value ({' '.join(str(error).split())})") from error
+        raise UnusableInputError(place, f"{text!r} is no YAML value ({one_line(error)})") from error
 
 
 def _composed(text: str) -> tuple[_Loader, yaml.Node | None]:
@@ -244,7 +244,7 @@ def load(path: Path) -> Document:
     except yaml.reader.ReaderError as error:
         raise UnusableInputError(path, f"not valid YAML: character {error.character!r} is not allowed") from error
     except yaml.YAMLError as error:
-        raise UnusableInputError(path, f"not valid YAML: {' '.join(str(error).split())}") from error
+        raise UnusableInputError(path, f"not valid YAML: {one_line(error)}") from error
     except RecursionError as error:
         raise UnusableInputError(path, "blocks are nested too deeply to be read, expected a config") from error
     return Document(Path(path), data, places)

@@ -9,7 +9,7 @@ from hilbench.can.confinement import ControllerState, bus_off, state_in_message
 from hilbench.can.frame import ERROR_FLAG, Frame
 from hilbench.can.messages import to_frame, to_message
 from hilbench.can.python_can import can
-from hilbench.errors import BusError
+from hilbench.errors import BusError, one_line
 
 
 class PythonCanLink:
@@ -63,4 +63,4 @@ class PythonCanLink:
         self._bus.shutdown()
 
     def _lost(self, error: Exception) -> BusError:
-        return BusError(f"{self.channel}: {' '.join(str(error).split())}")
+        return BusError(f"{self.channel}: {one_line(error)}")

@@ -15,7 +15,7 @@ from hilbench.can.link import Link
 from hilbench.can.protocol import DEFAULT_BITRATE, DEFAULT_CHANNEL, is_channel, is_path, socket_path
 from hilbench.can.python_can import can
 from hilbench.can.socketcan import SocketCanLink
-from hilbench.errors import BusError, UnusableInputError
+from hilbench.errors import BusError, UnusableInputError, one_line
 
 _READABLE = 32  # letters of a folder's name in that of its bus
 
@@ -144,10 +144,6 @@ def open_python_can(bus: BusAddress, filters: can.typechecking.CanFilters | None
             return EmbeddedBus(bus.channel, filters, bitrate=bus.bitrate, timing=bus.timing)
         return can.Bus(channel=bus.channel, interface=bus.interface, bitrate=bus.bitrate, can_filters=filters)
     except can.CanInterfaceNotImplementedError as error:
-        raise BusError(f"{bus}: {_one_line(error)}, expected one of python-can's interfaces") from error
+        raise BusError(f"{bus}: {one_line(error)}, expected one of python-can's interfaces") from error
     except (can.CanError, OSError, ValueError, TypeError, NameError, ImportError) as error:
-        raise BusError(f"{bus}: {_one_line(error)}") from error
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+        raise BusError(f"{bus}: {one_line(error)}") from error

@@ -15,7 +15,7 @@ from hilbench.canopen.identifiers import HEARTBEAT, NMT, NmtCommand
 from hilbench.canopen.lss_slave import BIT_RATES, UNCONFIGURED
 from hilbench.canopen.master import Identity
 from hilbench.canopen.network import Network
-from hilbench.errors import BenchFaultError, BusError
+from hilbench.errors import BenchFaultError, BusError, one_line
 
 _MOST_DEVICES: Final = 127
 #: canopen's errors for a person.
@@ -139,7 +139,7 @@ class LssMaster:
         except LssError as error:
             raise BenchFaultError(f"LSS, {about}: {_REASONS.get(str(error), str(error))}") from error
         except (can.CanError, OSError) as error:
-            raise BusError(" ".join(str(error).split())) from error
+            raise BusError(one_line(error)) from error
 
 
 def shown(identity: Identity) -> str:

@@ -25,7 +25,7 @@ from hilbench.canopen.identifiers import (
 )
 from hilbench.canopen.pdo import PdoMap
 from hilbench.canopen.sdo_client import Refusal, SdoClient, no_answer
-from hilbench.errors import BenchFaultError, BusError
+from hilbench.errors import BenchFaultError, BusError, one_line
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Master(SdoClient):
         try:
             self._network.send_message(NMT, command.to(node_id))
         except can.CanError as error:
-            raise BusError(" ".join(str(error).split())) from error
+            raise BusError(one_line(error)) from error
 
     def _heartbeat(self, can_id: int, data: bytearray, timestamp: float) -> None:
         if len(data) == 1:

@@ -18,7 +18,7 @@ from hilbench.can.python_can import can
 from hilbench.canopen.eds import with_mapped_pdos
 from hilbench.canopen.identifiers import FUNCTION_CODE, SDO_ANSWER
 from hilbench.canopen.network import Network
-from hilbench.errors import BusError
+from hilbench.errors import BusError, one_line
 
 #: For a bus on which nothing is wanted but answers.
 SDO_ANSWERS: Final[can.typechecking.CanFilters] = [{"can_id": SDO_ANSWER, "can_mask": FUNCTION_CODE, "extended": False}]
@@ -187,8 +187,7 @@ class SdoClient:
             with self._locks[node_id]:
                 yield self._network[node_id].sdo
         except (can.CanError, OSError) as error:
-            reason = " ".join(str(error).split())
-            raise BusError(f"SDO request to node {node_id} could not be sent: {reason}") from error
+            raise BusError(f"SDO request to node {node_id} could not be sent: {one_line(error)}") from error
 
 
 class Transfers(CanopenClient):

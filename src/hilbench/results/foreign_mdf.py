@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
-from hilbench.results.unreadable import EXPECTED_FORMATS, check_unpacked, one_line
+from hilbench.results.unreadable import EXPECTED_FORMATS, check_unpacked, short_reason
 from hilbench.topology.signal_kinds import TIME
 
 #: The most that deflate can shrink data (RFC 1951: 258 bytes by two bits), and a little.
@@ -52,7 +52,7 @@ def read_mdf(path: Path) -> MdfChannels:
         except (UnusableInputError, MemoryError):
             raise
         except Exception as error:  # asammdf raises whatever its parser stumbles over: struct.error, KeyError, …
-            found = one_line(error)
+            found = short_reason(error)
         gc.collect()  # what it had half made
     raise UnusableInputError(path, f"not a readable MDF4 file ({found})")
 

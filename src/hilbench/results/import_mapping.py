@@ -30,7 +30,7 @@ from pydantic import Field, field_validator
 from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.did_you_mean import did_you_mean, expected_one_of
-from hilbench.errors import UnusableInputError
+from hilbench.errors import UnusableInputError, one_line
 from hilbench.files import require_file
 from hilbench.results.recording import Recording, check_recording, read_recording
 from hilbench.results.text_table import MOST_COLUMNS, open_text, rest_of_text
@@ -137,7 +137,7 @@ def _columns(path: Path, file: TextFile, report: Callable[[str], None]) -> dict[
                 skiprows=[*range(file.skip_rows), *units],
             )
     except (OSError, EOFError, zlib.error, ValueError, LookupError) as error:  # pandas' parser errors are ValueErrors
-        raise UnusableInputError(path, f"cannot be read as a table ({' '.join(str(error).split())})") from error
+        raise UnusableInputError(path, f"cannot be read as a table ({one_line(error)})") from error
     columns: dict[str, NDArray[np.float64] | str] = {}
     for name in table.columns:
         try:

@@ -29,7 +29,7 @@ from hilbench.results.journal import read_journal
 from hilbench.results.mdf import Column, MdfPieces, MdfWriter, is_ours
 from hilbench.results.reduction import GAP_S, MOST_VALUES, joined, reduced
 from hilbench.results.text_table import read_table
-from hilbench.results.unreadable import EXPECTED_FORMATS, check_unpacked, one_line
+from hilbench.results.unreadable import EXPECTED_FORMATS, check_unpacked, short_reason
 from hilbench.runs.events import Event, journal_events
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import find_signal, unit_of
@@ -429,7 +429,7 @@ def _read_parquet(path: Path) -> Recording:
             check_unpacked(file.metadata.num_rows * file.metadata.num_columns, path)
             return _parquet_channels(file.read(), pyarrow)
     except (OSError, ValueError, pyarrow.ArrowException) as error:
-        raise UnusableInputError(path, f"not a readable Parquet file ({one_line(error)})") from error
+        raise UnusableInputError(path, f"not a readable Parquet file ({short_reason(error)})") from error
 
 
 def _parquet_channels(table: Any, pyarrow: Any) -> Recording:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
-from hilbench.results.unreadable import EXPECTED_FORMATS, one_line
+from hilbench.results.unreadable import EXPECTED_FORMATS, short_reason
 
 #: Columns of a table, characters of the row that names them, and of all below it, at most.
 MOST_COLUMNS, _LONGEST_HEADER, _MOST_CHARACTERS = 4096, 500_000, 500_000_000
@@ -30,7 +30,7 @@ def read_table(path: Path) -> tuple[list[str], NDArray[np.float64]]:
         if isinstance(error, OSError) and error.strerror:
             reason = error.strerror
         else:
-            reason = "not UTF-8 text" if isinstance(error, UnicodeDecodeError) else one_line(error)
+            reason = "not UTF-8 text" if isinstance(error, UnicodeDecodeError) else short_reason(error)
         raise UnusableInputError(path, f"cannot be read ({reason}), {EXPECTED_FORMATS}") from error
 
 

@@ -21,7 +21,7 @@ from typing import Any, Final
 from hilbench.can.frame import ERROR_FLAG, Frame
 from hilbench.can.messages import to_frame, to_message
 from hilbench.can.python_can import can
-from hilbench.errors import EXIT_CRITERION_FAILED, HilbenchError, UnusableInputError
+from hilbench.errors import EXIT_CRITERION_FAILED, HilbenchError, UnusableInputError, one_line
 from hilbench.files import written_whole
 from hilbench.results.trace import TraceReader
 
@@ -143,8 +143,7 @@ def _through_python_can(path: Path, note: Callable[[str], None]) -> Iterator[can
     except (MemoryError, UnusableInputError):
         raise
     except Exception as error:  # its parsers raise whatever they stumble over: struct.error, zlib.error, KeyError, …
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise UnusableInputError(path, f"not a readable {path.suffix} trace ({reason})") from error
+        raise UnusableInputError(path, f"not a readable {path.suffix} trace ({one_line(error)})") from error
     if first:
         raise UnusableInputError(path, "no frame in it, expected a trace")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hilbench.errors import UnusableInputError
+from hilbench.errors import UnusableInputError, one_line
 
 #: Formats that are read and written.
 EXPECTED_FORMATS = "expected a recording: .mf4, .csv, .csv.gz or .parquet"
@@ -21,6 +21,6 @@ def check_unpacked(values: int, path: Path) -> None:
         )
 
 
-def one_line(error: BaseException) -> str:
-    """Reason of a library's error, on one line."""
-    return " ".join(str(error).split())[:200] or type(error).__name__
+def short_reason(error: BaseException) -> str:
+    """Reason of a library's error, on one line, 200 characters at most."""
+    return one_line(error)[:200]

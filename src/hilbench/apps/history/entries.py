@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,7 +20,7 @@ import numpy as np
 
 from hilbench.apps.history.store import COMMISSIONING, Entry, History, Quantity, history_of
 from hilbench.diagnosis.commissioning import Commissioned
-from hilbench.errors import UnusableInputError
+from hilbench.errors import UnusableInputError, one_line
 from hilbench.files import write_whole
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
@@ -151,18 +152,20 @@ def _quantity(one: Commissioned) -> Quantity:
     return Quantity(name, one.value, one.deviation, one.unit, ", ".join(one.tied_with))
 
 
+@contextmanager
+def _content(path: Path, kind: str, by: str) -> Iterator[Any]:
+    """Object in a file of a run folder. Raises UnusableInputError for what is none, also while it is gone through."""
+    try:
+        yield json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UnusableInputError(path, f"is no {kind} ({one_line(error)}), expected what {by} has written") from error
+
+
 def _of_commissioning(folder: RunFolder) -> Iterator[Quantity]:
     """Quantities measured by a commissioning, from its run folder."""
-    if not folder.commissioning.is_file():
-        return
-    try:
-        found = json.loads(folder.commissioning.read_text(encoding="utf-8"))
-        yield from (Quantity(**each) for each in found["quantities"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UnusableInputError(
-            folder.commissioning,
-            f"is no commissioning ({' '.join(str(error).split())}), expected what 'hilbench commission' has written",
-        ) from error
+    if folder.commissioning.is_file():
+        with _content(folder.commissioning, "commissioning", "'hilbench commission'") as found:
+            yield from (Quantity(**each) for each in found["quantities"])
 
 
 def _of_twin(recording: Recording) -> Iterator[Quantity]:
@@ -200,8 +203,7 @@ def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:
     """The parameters of the effects that were named, from the diagnosis in a run folder."""
     if not folder.diagnosis.is_file():
         return
-    try:
-        found = json.loads(folder.diagnosis.read_text(encoding="utf-8"))
+    with _content(folder.diagnosis, "diagnosis", "diagnose") as found:
         for effect in [*found["effects"], *found["nuisance"]]:
             where, tied = place(effect), ", ".join(effect["tied_with"])
             for name, parameter in effect["parameters"].items():
@@ -209,7 +211,3 @@ def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:
                 sd, value = (float(high) - float(low)) / (2.0 * _NORMAL_95), float(parameter["value"])
                 if name not in _PLACES and np.isfinite([sd, value]).all() and sd >= 0.0:
                     yield Quantity(f"{where}.{effect['effect']}.{name}", value, sd, str(parameter["unit"]), tied)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UnusableInputError(
-            folder.diagnosis, f"is no diagnosis ({' '.join(str(error).split())}), expected what diagnose has written"
-        ) from error

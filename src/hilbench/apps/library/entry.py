@@ -15,7 +15,7 @@ import yaml
 from pydantic import Field
 
 from hilbench.block import Strict
-from hilbench.errors import UnusableInputError
+from hilbench.errors import UnusableInputError, one_line
 from hilbench.files import content
 from hilbench.results.run_folder import RunFolder
 from hilbench.results.verdict import RunVerdict, verdict_of
@@ -122,7 +122,7 @@ def read_entry(base: Path, path: str) -> RunEntry:
         of_result = _of_result(result) if result else {}
         return RunEntry.model_validate({**known, **labelled, **of_result, "problem": "; ".join(problems)})
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        problems.append(f"not understood ({' '.join(str(error).split())})")
+        problems.append(f"not understood ({one_line(error)})")
         return RunEntry.model_validate({**known, "problem": "; ".join(problems)})
 
 
@@ -132,7 +132,7 @@ def _config(folder: RunFolder, problems: list[str]) -> dict[str, Any]:
         text = content(folder.config, _MOST_BYTES, kept=True).decode(errors="replace")
         found = yaml.load("".join(match[0] for match in _TOP_LEVEL.finditer(text)), _LOADER)
     except (OSError, UnusableInputError, yaml.YAMLError, ValueError, RecursionError) as error:
-        problems.append(f"{folder.config.name}: {' '.join(str(error).split())}")
+        problems.append(f"{folder.config.name}: {one_line(error)}")
         return {}
     return _mapping(folder.config, found, problems)
 
@@ -143,7 +143,7 @@ def _json(path: Path, problems: list[str]) -> dict[str, Any]:
     except FileNotFoundError:
         return {}
     except (OSError, UnusableInputError, ValueError, RecursionError) as error:
-        problems.append(f"{path.name}: {' '.join(str(error).split())}")
+        problems.append(f"{path.name}: {one_line(error)}")
         return {}
     return _mapping(path, found, problems)
 

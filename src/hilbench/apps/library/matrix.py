@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 from urllib.parse import quote
 
 from hilbench.apps.library.entry import RunEntry
-from hilbench.errors import UnusableInputError
+from hilbench.errors import UnusableInputError, one_line
 
 Cell = Literal["passed", "marginal", "failed", "error", "fault", ""]
 #: From the best to the worst: what several criteria of a run say together is what the worst of them says.
@@ -154,9 +154,7 @@ def read_reqif(path: Path) -> list[Requirement]:
         bundle = ReqIFParser.parse(str(path))
         found = {each.id: each for each in _requirements(bundle)}
     except Exception as error:  # the parser lets through whatever a broken file does to it
-        raise UnusableInputError(
-            path, f"is no specification ({' '.join(str(error).split()) or type(error).__name__}), expected ReqIF"
-        ) from error
+        raise UnusableInputError(path, f"is no specification ({one_line(error)}), expected ReqIF") from error
     return list(found.values())
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from hilbench.errors import UnusableInputError
+from hilbench.errors import UnusableInputError, one_line
 
 _LONGEST: Final = 500
 _NUMBERS: Final[dict[type[ast.AST], Callable[..., float | None]]] = {
@@ -54,7 +54,7 @@ class Condition:
         try:
             return _value(self._tree, values.get) is True
         except (TypeError, OverflowError) as error:
-            raise _unusable(self.text, " ".join(str(error).split())) from error
+            raise _unusable(self.text, one_line(error)) from error
 
 
 def parse_condition(text: str) -> Condition:

@@ -29,6 +29,7 @@ from hilbench.errors import (
     EXIT_PASSED,
     HilbenchError,
     UnusableInputError,
+    one_line,
 )
 from hilbench.files import make_folder, write_whole, written_whole
 from hilbench.forked_workers import ForkedWorker, forked_workers
@@ -142,7 +143,7 @@ def _on_cluster(address: str) -> Iterator[Executor]:
     try:
         client = Client(address, timeout=_CONNECT_S)
     except (OSError, TimeoutError, ValueError) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = one_line(error)
         raise UnusableInputError(f"--cluster {address}", f"{reason}, expected a running Dask scheduler") from error
     with client, client.get_executor(pure=False) as pool:
         yield pool

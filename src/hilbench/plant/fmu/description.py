@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from hilbench.did_you_mean import closest
-from hilbench.errors import UnusableInputError
+from hilbench.errors import UnusableInputError, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -169,7 +169,7 @@ def _read(path: Path, _changed_ns: int) -> FmuDescription:
     except (zipfile.BadZipFile, KeyError, OSError):
         raise UnusableInputError(path, "no FMU, expected a zip archive with a modelDescription.xml") from None
     except Exception as error:  # FMPy raises Exception for all errors of the file
-        text = " ".join(str(error).split())
+        text = one_line(error)
         raise UnusableInputError(path, f"{text}, expected a modelDescription.xml as FMI 2 or 3 has it") from None
     major = int(str(found.fmiVersion).split(".")[0])
     if major not in (2, 3):
