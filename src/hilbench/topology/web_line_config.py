@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from math import inf
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Discriminator, Field, FiniteFloat, PositiveFloat, Tag
+from pydantic import Discriminator, Field, FiniteFloat, PositiveFloat, Tag, model_validator
 
 from hilbench.block import Block
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
@@ -169,18 +169,46 @@ class ReelControlConfig(Block):
     )
 
 
+Compensable = Literal["roller_eccentricity", "torque_ripple"]
+
+
+class CompensationConfig(Block):
+    """Compensation of what turns with the rollers around the spans with a tension loop, beside that loop: what the
+    machine's effects know of it is fed forward, the rest is learned turn by turn; off where it does not help."""
+
+    kind: Literal["compensate"] = Field(default="compensate", description="a list alone is that of its effects")
+    effects: tuple[Compensable, ...] = Field(min_length=1, description="ids of the vocabulary of effects")
+    limit_m_s: PositiveFloat = Field(
+        default=0.005, description="largest velocity for each: a quarter of what the loop may correct, 100 um at 8 Hz"
+    )
+    least_pct: PositiveFloat = Field(
+        default=0.2, description="of the set-point: a smaller swing is left, its noise would be learned"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _effects_alone(cls, value: Any) -> Any:
+        return {"effects": value} if isinstance(value, list) else value
+
+
+def _kind_of(value: Any) -> str:
+    if isinstance(value, list):
+        return "compensate"
+    found: str = value.get("kind", "tension") if isinstance(value, Mapping) else getattr(value, "kind", "tension")
+    return found
+
+
 ControllerConfig = Annotated[
     Annotated[TensionControlConfig, Tag("tension")]
     | Annotated[PositionControlConfig, Tag("position")]
-    | Annotated[ReelControlConfig, Tag("reel")],
+    | Annotated[ReelControlConfig, Tag("reel")]
+    | Annotated[CompensationConfig, Tag("compensate")],
     Discriminator(
-        lambda value: value.get("kind", "tension") if isinstance(value, Mapping) else getattr(value, "kind", "tension"),
-        custom_error_type="kind",
-        custom_error_message="kind: tension, position or reel",
+        _kind_of, custom_error_type="kind", custom_error_message="kind: tension, position, reel or compensate"
     ),
 ]
 
-Control = TypeVar("Control", TensionControlConfig, PositionControlConfig, ReelControlConfig)
+Control = TypeVar("Control", TensionControlConfig, PositionControlConfig, ReelControlConfig, CompensationConfig)
 
 
 def loops_of(kind: type[Control], controllers: Iterable[ControllerConfig]) -> list[Control]:

@@ -289,6 +289,17 @@ class TensionLoop:
         stiffness_N = self.point.estimates_Pa[span - 2] * self.config.web_line.section_m2(span - 1)
         return self.point.line_speed_m_s / stiffness_N * self._unit(f"web{span - 1}_sim")
 
+    def responses(self, span: int, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """Tension of the emulated span at frequencies (n,), N, as its encoders show it: per m/s added to the command of
+        the axis before it, per N at that axis, and per N at the axis after it (n, 3)."""
+        mass, of_cycle = self.config.web_line.mass_kg, self.config.cycle_time_s
+        entries = [self._unit(f"u{span}_next")]
+        entries += [self._unit(f"v{axis}") * (of_cycle / mass(axis)) for axis in (span, span + 1)]
+        closed = self._cycle @ self._sync()
+        z = np.exp(1j * omega * of_cycle)
+        states = np.linalg.solve(z[:, None, None] * np.eye(len(closed)) - closed, (self._cycle @ np.transpose(entries)))
+        return np.asarray(self._sync()[self._places[f"web{span}"]] @ states)
+
     def _return_ratio(self, command: str, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
         """L(jω) of the loop opened at a command; 1 + L = 0 is the border of stability."""
         opened, row = self._cycle @ self._sync(opened=command), self._sync()[self._places[command]]

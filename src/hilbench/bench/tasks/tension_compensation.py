@@ -1,0 +1,222 @@
+"""Compensation of eccentric rollers and torque ripple as a task: a cycle of
+`hilbench.control.web_line.compensation`, and what is learned after each turn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from hilbench.bench.state import Reports
+from hilbench.bench.tasks.task import CompiledStages, Outputs, StagedTask
+from hilbench.bench.tasks.tension_cycle import LOOP
+from hilbench.bench.tasks.tension_loop import OperatingPoint, TensionLoop
+from hilbench.bench.tasks.tension_task import LoopNames
+from hilbench.compiled import (
+    COUNT,
+    TABLE,
+    Reals,
+    Reals2,
+    Reals3,
+    Records,
+    Wholes,
+    Wholes2,
+    arrays_in,
+    entry_point,
+    interpreted,
+    load,
+    records,
+)
+from hilbench.control.web_line.compensation import (
+    LEAST_M_S,
+    MOST_M_S,
+    ORDER,
+    SPEEDS,
+    TURN,
+    Compensated,
+    Complexes,
+    begin_turn,
+    compensate,
+    end_turn,
+)
+from hilbench.cycle_program import CONTINUE, CompiledStage
+from hilbench.plant.parameters import EffectEntry
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.sample import CycleSample
+from hilbench.topology.web_line_config import Compensable, CompensationConfig
+
+#: Angle of an order in a cycle up to which the loops' response to a command is that of the model.
+_FASTEST_RAD = 1.0
+#: Relative difference of the radii of rollers up to which both have the same turns.
+_ONE_RADIUS = 0.01
+_TURNED = CONTINUE + 1
+_GRID_M_S = np.geomspace(LEAST_M_S, MOST_M_S, SPEEDS)
+_begin_turn = interpreted(begin_turn)
+
+
+class _Arrays(NamedTuple):
+    """What a cycle works on; `at`: places of positions and speeds at the ends of the span, and of the command; of the
+    rollers behind it the places of torque and speed, force per torque and mass."""
+
+    turn: Annotated[Any, TURN]
+    orders: Annotated[Any, records(ORDER)]
+    commands: Reals3
+    loop: Annotated[Any, LOOP]
+    at: Wholes
+    behind_at: Wholes2
+    behind: Reals2
+    values: Reals
+
+
+@entry_point(COUNT, TABLE)
+def run(_: int, table: Wholes2) -> int:
+    """Add the correction to the command before the span; `_TURNED` at the end of a turn."""
+    a = arrays_in(table, _Arrays)
+    values, at, turn = a.values, a.at, a.turn
+    x1_m, x2_m, v1_m_s, v2_m_s = values[at[0]], values[at[1]], values[at[2]], values[at[3]]
+    angle_rad, force_N, momentum_Ns = x1_m / turn.radius_m, 0.0, 0.0
+    if a.loop.closed != 1.0:
+        begin_turn(turn, a.orders, angle_rad)
+        turn.mean_momentum_Ns = 0.0
+        return CONTINUE
+    for k in range(len(a.behind)):
+        force_N += a.behind[k, 0] * values[a.behind_at[k, 0]]
+        momentum_Ns += a.behind[k, 1] * values[a.behind_at[k, 1]]
+    seen = (force_N, momentum_Ns, v2_m_s - v1_m_s)
+    values[at[4]] += compensate(turn, a.orders, a.commands, x1_m, x2_m, v1_m_s, seen)
+    return _TURNED if end_turn(turn, angle_rad) else CONTINUE
+
+
+class _Turning(NamedTuple):
+    """What turns: an effect, and its order in turns of the roller before the span (0) or behind it (1)."""
+
+    effect: Compensable
+    behind: int
+    order: float
+
+
+class CompensationTask(StagedTask):
+    """Compensation in the span of a tension loop, after that in a cycle; `loop`: of that task."""
+
+    def __init__(
+        self, config: BenchConfig, control: CompensationConfig, reports: Reports, names: LoopNames, loop: Records
+    ) -> None:
+        self._config, self._names, self._reports, self._loop = config, names, reports, loop
+        model, axis = config.web_line, names.axis
+        self._k_N_per_m = model.stiffness_N(names.span) / model.span_length_m(names.span)
+        behind = range(axis + 1, model.axis_count + 1)
+        self._behind = np.array([(model.motor_rad_per_m(k), model.mass_kg(k)) for k in behind])
+        self._compensated = self._all(control)
+        self._orders = np.zeros(len(self._compensated), ORDER).view(np.recarray)
+        for order, key in zip(self._orders, self._compensated, strict=True):
+            order.order, order.radius_m, order.behind = key.order, model.radius_m(axis + key.behind), key.behind
+        self._commands = np.zeros((len(self._orders), SPEEDS, 2))
+        self._turns = np.zeros(1, TURN).view(np.recarray)
+        self._turn = self._turns[0]
+        self._turn.radius_m, self._turn.limit_m_s = model.radius_m(axis), control.limit_m_s
+        load(run)
+
+    def _all(self, control: CompensationConfig) -> dict[_Turning, Compensated]:
+        """What is compensated: the orders of effects that the model knows, and of others the first."""
+        model, axis = self._config.web_line, self._names.axis
+        one_radius = abs(model.radius_m(axis + 1) / model.radius_m(axis) - 1.0) < _ONE_RADIUS
+        known: dict[_Turning, list[EffectEntry]] = {}
+        for effect in control.effects:
+            for behind in (0, 1):
+                of_motor = model.gear_ratio(axis + behind) if effect == "torque_ripple" else 1.0
+                entries = [each for each in model.effects if each.effect == effect and each.axis == axis + behind]
+                orders = {each.parameters.get("order", 1.0) for each in entries} or {1.0}
+                for order in orders:
+                    key = _Turning(effect, 0 if one_radius else behind, order * of_motor)
+                    of_order = [each for each in entries if each.parameters.get("order", 1.0) == order]
+                    known.setdefault(key, []).extend(of_order)
+        point = OperatingPoint(*(self._moduli, 0.0, (1.0,) * len(self._moduli), self._moduli))
+        loops = [TensionLoop(self._config, replace(point, line_speed_m_s=speed)) for speed in _GRID_M_S]
+        return {key: self._one(control, key, entries, loops) for key, entries in known.items()}
+
+    @property
+    def _moduli(self) -> tuple[float, ...]:
+        model = self._config.web_line
+        return tuple(model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1))
+
+    def _one(
+        self, control: CompensationConfig, key: _Turning, entries: list[EffectEntry], loops: list[TensionLoop]
+    ) -> Compensated:
+        """Responses of an order at all speeds, and what the model knows of it."""
+        config, model, span, axis = self._config, self._config.web_line, self._names.span, self._names.axis
+        omega = key.order * _GRID_M_S / model.radius_m(axis + key.behind)
+        pairs = zip(loops, omega, strict=True)
+        found = np.array([loop.responses(span, np.array([each]))[0] for loop, each in pairs])
+        gain, of_force = found[:, 0], found[:, 1:]
+        pulls = [float(model.carries_web_load(axis + k)) for k in (0, 1)]
+
+        def response(effect_axis: int) -> Complexes:
+            k = effect_axis - axis
+            if key.effect == "torque_ripple":
+                return of_force[:, k] * model.motor_rad_per_m(effect_axis)
+            web_m_s = (1.0 if k else -1.0) * _GRID_M_S / model.radius_m(effect_axis)
+            unseen_N = self._k_N_per_m * web_m_s / (1j * omega + _GRID_M_S / model.span_length_m(span))
+            total: Complexes = unseen_N * (1.0 + pulls[0] * of_force[:, 0] - pulls[1] * of_force[:, 1])
+            return total
+
+        known = np.zeros(SPEEDS, complex)
+        for entry in entries:
+            assert entry.axis is not None, "of an axis"
+            phase = np.exp(1j * entry.parameters.get("phase_rad", 0.0))
+            ripple = key.effect == "torque_ripple"
+            size = -1j * entry.parameters["amplitude_Nm"] if ripple else entry.parameters["amplitude_m"]
+            known = known + size * phase * response(entry.axis)
+        gain[omega * config.cycle_time_s > _FASTEST_RAD] = np.inf
+        set_point_N = config.tension_controls[span].set_point_N
+        least_N = 0.01 * control.least_pct * set_point_N
+        return Compensated(gain, response(axis + key.behind), known, control.limit_m_s, least_N)
+
+    def stages(self, sample: CycleSample) -> CompiledStages:
+        """Compiled stage of a cycle, and Python's at the end of a turn."""
+        kind, axis = type(sample), self._names.axis
+        of_span = [f"x{axis}_m", f"x{axis + 1}_m", f"v{axis}_m_s", f"v{axis + 1}_m_s", self._names.command]
+        behind = range(axis + 1, axis + 1 + len(self._behind))
+        behind_at = np.array([kind.places([f"tau{k}_Nm", f"v{k}_m_s"]) for k in behind])
+        arrays = _Arrays(
+            *(np.asarray(self._turns), np.asarray(self._orders), self._commands, self._loop),
+            *(kind.places(of_span), behind_at, self._behind, sample.reals),
+        )
+        stage = CompiledStage(run, 0, arrays, fallback=lambda _: self._turned(sample))
+        return CompiledStages(before=[stage], shown={self._names.drive: self._names.command})
+
+    def rest(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Begin the next turn anew."""
+        self._turn.mean_momentum_Ns = 0.0
+
+    def _turned(self, sample: CycleSample) -> bool:
+        """Learn from a turn of a steady line."""
+        turn, model = self._turn, self._config.web_line
+        x_m = (getattr(sample, f"x{self._names.axis}_m"), getattr(sample, f"x{self._names.axis + 1}_m"))
+        speed_m_s = turn.mean_momentum_Ns / sum(self._behind[:, 1])
+        for number, (key, each) in enumerate(self._compensated.items() if turn.is_steady else ()):
+            o, omega = self._orders[number], key.order * speed_m_s / model.radius_m(self._names.axis + key.behind)
+            force_N, momentum_Ns, stretch_m_s = (
+                2.0 / turn.cycles * (o[f"{name}_c"] - 1j * o[f"{name}_s"]) for name in ("force", "momentum", "stretch")
+            )
+            left_N = force_N - 1j * omega * momentum_Ns
+            if key.effect == "torque_ripple":
+                left_N = self._k_N_per_m * stretch_m_s / (
+                    1j * omega + speed_m_s / model.span_length_m(self._names.span)
+                )
+            self._tell(key, each, each.take(left_N, speed_m_s))
+            self._commands[number, :, 0], self._commands[number, :, 1] = each.command.real, each.command.imag
+        _begin_turn(turn, self._orders, x_m[0] / turn.radius_m)
+        return True
+
+    def _tell(self, key: _Turning, each: Compensated, event: str) -> None:
+        """Note what became of a compensation."""
+        told = {
+            "helps": "compensated",
+            "worse": "no longer compensated: it makes it worse",
+            "useless": "not compensated: it does not help",
+        }.get(event)
+        if told:
+            what = f"{key.effect} of order {key.order:g}, {self._names.of_loop}: {told}"
+            swing = f"the tension swings by {each.swing_N:.2g} N, {each.without_N:.2g} N without"
+            self._reports.note("compensation", f"{what} ({swing})", kind=f"{key}{event}")

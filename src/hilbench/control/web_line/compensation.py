@@ -1,0 +1,189 @@
+"""Compensation of what turns with the rollers around a span, by the velocity of the axis before it.
+
+A disturbance of order n of a roller's angle φ makes the tension swing as Re(D·e^{inφ}). A command Re(C·e^{inφ}) beside
+the tension loop adds G·C, G the response of the closed loops at ω = n·φ'. With a disturbance Z in its own unit (of an
+eccentric roller metres, of a ripple N·m) and its response B, D = B·Z:
+
+    C = −(B/G)·Z,        Z ← Z + μ·F/B        after a turn in which F was left
+
+So Z is what is known, or learned turn by turn, and stays at another speed. F comes from one of two balances:
+
+    F = Σ (i/r)·τ − iω·Σ m·v      of the rollers behind the span: sees eccentricity, which no encoder does; takes a
+                                  ripple of their torque for tension
+    F = (E·S/L)·(v2 − v1)/(iω + v/L)  mass conservation: sees what rollers do, whatever their torques are
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, floor, log, pi, sin
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import Reals3, Vector, compiled, record_type
+
+#: Share of what is left that a turn takes away: two thirds of the phase error up to which it converges is left then.
+_LEARNS = 0.6
+#: Swing relative to that without compensation from which it makes things worse, and down to which it is to come.
+_WORSE, _HELPS = 1.1, 0.8
+#: Turns in a row that are worse until it is taken back; turns after a change of which the first is not learned from.
+_WORSE_TURNS, _TURNS_PER_CHANGE = 2, 2
+#: Changes after which it is to help; how often it is tried.
+_CHANGES, _TRIALS = 8, 3
+#: Mean speeds of two turns that are of a steady line differ by less than this share, the mean forces by this.
+_STEADY, _STEADY_N = 2e-3, 1.0
+
+#: A turn of the roller before the span: angle at its start, cycles, sums, and means of the last turn.
+TURN = record_type(
+    *("radius_m", "limit_m_s", "start_rad", "cycles", "is_steady"),
+    *("force_N", "momentum_Ns", "stretch_m_s"),
+    *("mean_force_N", "mean_momentum_Ns", "mean_stretch_m_s"),
+)
+#: An order of the angle of a roller, behind the span or before it; sums of a turn: of the deviations from the last
+#: turn's means, by cosine and sine.
+ORDER = record_type(
+    *("order", "radius_m", "behind"),
+    *("force_c", "force_s", "momentum_c", "momentum_s", "stretch_c", "stretch_s"),
+)
+#: Speeds of the tables of commands, evenly in their logarithm: below the first nothing is compensated.
+LEAST_M_S, MOST_M_S, SPEEDS = 0.05, 50.0, 64
+_PER_SPEED = (SPEEDS - 1) / log(MOST_M_S / LEAST_M_S)
+Complexes = NDArray[np.complex128]
+
+
+@compiled
+def begin_turn(t: Any, orders: Any, angle_rad: float) -> None:
+    """Begin a turn: no sums yet."""
+    t.start_rad, t.cycles = angle_rad, 0.0
+    t.force_N = t.momentum_Ns = t.stretch_m_s = 0.0
+    for k in range(len(orders)):
+        o = orders[k]
+        o.force_c = o.force_s = o.momentum_c = o.momentum_s = o.stretch_c = o.stretch_s = 0.0
+
+
+@compiled
+def compensate(
+    t: Any, orders: Any, commands: Reals3, x1_m: float, x2_m: float, speed_m_s: float, seen: tuple[float, float, float]
+) -> float:
+    """Correction of the velocity before the span, from the positions at its ends, m/s; sums up what is `seen` in this
+    cycle: force and momentum of the rollers behind the span, and how fast it is stretched.
+
+    `commands` (orders, `SPEEDS`, 2): amplitudes by cosine and sine. Zero in reverse and near standstill.
+    """
+    if not LEAST_M_S <= speed_m_s < MOST_M_S:
+        begin_turn(t, orders, x1_m / t.radius_m)
+        t.mean_momentum_Ns = 0.0
+        return 0.0
+    force_N, momentum_Ns, stretch_m_s = seen
+    t.cycles += 1.0
+    t.force_N += force_N
+    t.momentum_Ns += momentum_Ns
+    t.stretch_m_s += stretch_m_s
+    place = log(speed_m_s / LEAST_M_S) * _PER_SPEED
+    at = int(floor(place))
+    share, correction_m_s = place - at, 0.0
+    for k in range(len(orders)):
+        o = orders[k]
+        angle_rad = o.order * (x1_m if o.behind == 0.0 else x2_m) / o.radius_m
+        c, s = cos(angle_rad), sin(angle_rad)
+        low, high = commands[k, at], commands[k, at + 1]
+        correction_m_s += c * (low[0] + share * (high[0] - low[0])) - s * (low[1] + share * (high[1] - low[1]))
+        o.force_c += c * (force_N - t.mean_force_N)
+        o.force_s += s * (force_N - t.mean_force_N)
+        o.momentum_c += c * (momentum_Ns - t.mean_momentum_Ns)
+        o.momentum_s += s * (momentum_Ns - t.mean_momentum_Ns)
+        o.stretch_c += c * (stretch_m_s - t.mean_stretch_m_s)
+        o.stretch_s += s * (stretch_m_s - t.mean_stretch_m_s)
+    return float(min(max(correction_m_s, -t.limit_m_s), t.limit_m_s))
+
+
+@compiled
+def end_turn(t: Any, angle_rad: float) -> bool:
+    """Say if a turn is complete, and whether the line was steady in it."""
+    if abs(angle_rad - t.start_rad) < 2.0 * pi:
+        return False
+    force_N, momentum_Ns = t.force_N / t.cycles, t.momentum_Ns / t.cycles
+    changed = abs(momentum_Ns - t.mean_momentum_Ns) > _STEADY * abs(momentum_Ns)
+    t.is_steady = 0.0 if changed or abs(force_N - t.mean_force_N) > _STEADY_N else 1.0
+    t.mean_force_N, t.mean_momentum_Ns, t.mean_stretch_m_s = force_N, momentum_Ns, t.stretch_m_s / t.cycles
+    return True
+
+
+def by_speed(table: Complexes, speed_m_s: float) -> complex:
+    """Value of a table at a speed."""
+    return complex(np.interp(log(speed_m_s / LEAST_M_S) * _PER_SPEED, np.arange(SPEEDS), table))
+
+
+@dataclass
+class Compensated:
+    """What is compensated at one order: `gain` and `response` are G in N per m/s and B in N per unit, by speed; `known`
+    is D in N, by speed, of what the model knows; `least_N`: swing below which nothing is done."""
+
+    gain: Complexes
+    response: Complexes
+    known: Complexes
+    limit_m_s: float
+    least_N: float
+    learned: complex = 0.0  #: Z beyond what is known
+    is_on: bool = False
+    trials: int = 0
+    before_N: float = 0.0  #: swing without compensation
+    before_m_s: float = 1.0  #: and the line's speed then
+    changes: int = 0
+    turns: int = 0  #: since the last change
+    worse: int = 0  #: turns in a row
+    swing_N: float = 0.0  #: of the last turn,
+    without_N: float = 0.0  #: and what it would be without compensation
+
+    @property
+    def command(self) -> Complexes:
+        """Amplitude of the command by speed, m/s, within the limit."""
+        if not self.is_on:
+            return np.zeros(SPEEDS, complex)
+        wanted = -(self.known + self.learned * self.response) / self.gain
+        found: Complexes = wanted * np.minimum(1.0, self.limit_m_s / np.maximum(np.abs(wanted), 1e-300))
+        return found
+
+    def take(self, left_N: complex, speed_m_s: float) -> str:
+        """Take the swing of a steady turn. Returns "", or what became of it: "on", "worse", "useless", "helps"."""
+        self.swing_N, response = abs(left_N), by_speed(self.response, speed_m_s)
+        swing_N = self.swing_N
+        self.turns += 1
+        if not self.is_on:
+            self.before_N, self.before_m_s = swing_N, speed_m_s
+            if self.turns < _TURNS_PER_CHANGE or self.trials >= _TRIALS or response == 0.0:
+                return ""
+            known = bool(np.any(self.known)) and self.trials == 0
+            if not known and swing_N < self.least_N:
+                return ""
+            self.is_on, self.trials, self.turns, self.changes, self.worse = True, self.trials + 1, 0, 0, 0
+            if not known:
+                self._learn(left_N, response)
+            return "on"
+        before_N = self.before_N * abs(response / by_speed(self.response, self.before_m_s))
+        self.without_N = before_N
+        if swing_N > max(_WORSE * before_N, before_N + self.least_N):
+            self.worse += 1
+            return self._off("worse") if self.worse >= _WORSE_TURNS else ""
+        self.worse = 0
+        if self.turns < _TURNS_PER_CHANGE:
+            return ""
+        self.changes += 1
+        if self.changes == _CHANGES:
+            if swing_N > _HELPS * before_N:
+                self.trials = _TRIALS
+                return self._off("useless")
+            self._learn(left_N, response)
+            return "helps"
+        self._learn(left_N, response)
+        return ""
+
+    def _learn(self, left_N: complex, response: complex) -> None:
+        self.learned, self.turns = self.learned + _LEARNS * left_N / response, 0
+
+    def _off(self, why: str) -> str:
+        self.is_on, self.learned, self.turns = False, 0.0, 0
+        self.known = np.zeros(SPEEDS, complex)
+        return why
