@@ -169,7 +169,7 @@ class ReelControlConfig(Block):
     )
 
 
-Compensable = Literal["roller_eccentricity", "torque_ripple"]
+Compensable = Literal["roller_eccentricity", "torque_ripple", "friction"]
 
 
 class CompensationConfig(Block):
@@ -182,7 +182,7 @@ class CompensationConfig(Block):
         default=0.005, description="largest velocity for each: a quarter of what the loop may correct, 100 um at 8 Hz"
     )
     least_pct: PositiveFloat = Field(
-        default=0.2, description="of the set-point: a smaller swing is left, its noise would be learned"
+        default=0.5, description="of the set-point: a smaller swing is left, its noise would be learned"
     )
 
     @model_validator(mode="before")
@@ -408,7 +408,7 @@ def _force_misfit(station: Dancer | Accumulator, force: CarriageForceConfig | No
 
 
 def _stations_misfit(
-    machine: ModelParameters, controllers: Iterable[ControllerConfig], ahead: str, names: Collection[str]
+    machine: ModelParameters, controllers: Collection[ControllerConfig], ahead: str, names: Collection[str]
 ) -> str | None:
     """Why a bench can't have the stations of its machine, in one line, or None; see `line_misfits`."""
     rollers = machine.line_rollers
@@ -419,6 +419,8 @@ def _stations_misfit(
     probes = [control.probes for control in loops_of(TensionControlConfig, controllers)]
     if any(probing.mode != "off" or probing.at_rest_mm for probing in probes):
         return f"no 'probing' on a line with 'stations:', or {ONLY_DRIVEN}"
+    if loops_of(CompensationConfig, controllers):
+        return f"no 'compensate' on a line with 'stations:', or {ONLY_DRIVEN}"
     twice = [name for name in station_names(machine) if name in names]
     return f"names that differ: a station and another part are both named {twice[0]}" if twice else None
 

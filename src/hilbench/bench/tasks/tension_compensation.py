@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from itertools import product
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from hilbench.bench.state import Reports
 from hilbench.bench.tasks.task import CompiledStages, Outputs, StagedTask
 from hilbench.bench.tasks.tension_cycle import LOOP
+from hilbench.bench.tasks.tension_cycle import SPEEDS as COMMANDED
 from hilbench.bench.tasks.tension_loop import OperatingPoint, TensionLoop
 from hilbench.bench.tasks.tension_task import LoopNames
 from hilbench.compiled import (
@@ -20,6 +21,7 @@ from hilbench.compiled import (
     Reals2,
     Reals3,
     Records,
+    Vector,
     Wholes,
     Wholes2,
     arrays_in,
@@ -39,9 +41,12 @@ from hilbench.control.web_line.compensation import (
     begin_turn,
     compensate,
     end_turn,
+    friction_lead_m_s,
 )
+from hilbench.control.web_line.feed_forward import ROLLER, rollers_of
 from hilbench.cycle_program import CONTINUE, CompiledStage
 from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import Compensable, CompensationConfig
@@ -50,6 +55,8 @@ from hilbench.topology.web_line_config import Compensable, CompensationConfig
 _FASTEST_RAD = 1.0
 #: Relative difference of the radii of rollers up to which both have the same turns.
 _ONE_RADIUS = 0.01
+#: Effects that turn: of two at one order the first is compensated.
+_BY_ANGLE: tuple[Compensable, ...] = ("roller_eccentricity", "torque_ripple")
 _TURNED = CONTINUE + 1
 _GRID_M_S = np.geomspace(LEAST_M_S, MOST_M_S, SPEEDS)
 _begin_turn = interpreted(begin_turn)
@@ -66,6 +73,9 @@ class _Arrays(NamedTuple):
     at: Wholes
     behind_at: Wholes2
     behind: Reals2
+    leader: Annotated[Any, COMMANDED]
+    rollers: Annotated[Any, records(ROLLER)]
+    frictions_N: Reals2
     values: Reals
 
 
@@ -76,6 +86,7 @@ def run(_: int, table: Wholes2) -> int:
     values, at, turn = a.values, a.at, a.turn
     x1_m, x2_m, v1_m_s, v2_m_s = values[at[0]], values[at[1]], values[at[2]], values[at[3]]
     angle_rad, force_N, momentum_Ns = x1_m / turn.radius_m, 0.0, 0.0
+    values[at[4]] += friction_lead_m_s(a.rollers, a.frictions_N, a.leader.undamped)
     if a.loop.closed != 1.0:
         begin_turn(turn, a.orders, angle_rad)
         turn.mean_momentum_Ns = 0.0
@@ -86,6 +97,20 @@ def run(_: int, table: Wholes2) -> int:
     seen = (force_N, momentum_Ns, v2_m_s - v1_m_s)
     values[at[4]] += compensate(turn, a.orders, a.commands, x1_m, x2_m, v1_m_s, seen)
     return _TURNED if end_turn(turn, angle_rad) else CONTINUE
+
+
+def _friction_N(model: ModelParameters, axis: int) -> Vector:
+    """Friction that the model knows of a roller, by speed forward."""
+    found = np.zeros(SPEEDS)
+    for entry in model.effects:
+        of = entry.parameters
+        if entry.axis == axis and entry.effect == "coulomb_friction":
+            found += of["force_N"]
+        if entry.axis == axis and entry.effect == "viscous_friction":
+            found += of["coefficient_N_s_per_m"] * _GRID_M_S
+        if entry.axis == axis and entry.effect == "stribeck_friction":
+            found += of["force_N"] * np.exp(-((_GRID_M_S / of["speed_m_s"]) ** 2))
+    return found
 
 
 class _Turning(NamedTuple):
@@ -100,11 +125,16 @@ class CompensationTask(StagedTask):
     """Compensation in the span of a tension loop, after that in a cycle; `loop`: of that task."""
 
     def __init__(
-        self, config: BenchConfig, control: CompensationConfig, reports: Reports, names: LoopNames, loop: Records
+        self,
+        config: BenchConfig,
+        control: CompensationConfig,
+        reports: Reports,
+        names: LoopNames,
+        loop: Records,
+        leader: Records,
     ) -> None:
-        self._config, self._names, self._reports, self._loop = config, names, reports, loop
+        self._config, self._names, self._reports, self._loop, self._leader = config, names, reports, loop, leader
         model, axis = config.web_line, names.axis
-        self._k_N_per_m = model.stiffness_N(names.span) / model.span_length_m(names.span)
         behind = range(axis + 1, model.axis_count + 1)
         self._behind = np.array([(model.motor_rad_per_m(k), model.mass_kg(k)) for k in behind])
         self._compensated = self._all(control)
@@ -115,6 +145,11 @@ class CompensationTask(StagedTask):
         self._turns = np.zeros(1, TURN).view(np.recarray)
         self._turn = self._turns[0]
         self._turn.radius_m, self._turn.limit_m_s = model.radius_m(axis), control.limit_m_s
+        self._rollers, self._frictions_N = np.zeros(0, ROLLER), np.zeros((0, SPEEDS))
+        if "friction" in control.effects:
+            rollers = rollers_of(model, config.cycle_time_s)[axis - 1 : axis + 1]
+            self._rollers = np.concatenate(rollers).view(ROLLER)
+            self._frictions_N = np.array([_friction_N(model, k) for k in (axis, axis + 1)])
         load(run)
 
     def _all(self, control: CompensationConfig) -> dict[_Turning, Compensated]:
@@ -122,55 +157,49 @@ class CompensationTask(StagedTask):
         model, axis = self._config.web_line, self._names.axis
         one_radius = abs(model.radius_m(axis + 1) / model.radius_m(axis) - 1.0) < _ONE_RADIUS
         known: dict[_Turning, list[EffectEntry]] = {}
-        for effect in control.effects:
-            for behind in (0, 1):
-                of_motor = model.gear_ratio(axis + behind) if effect == "torque_ripple" else 1.0
-                entries = [each for each in model.effects if each.effect == effect and each.axis == axis + behind]
-                orders = {each.parameters.get("order", 1.0) for each in entries} or {1.0}
-                for order in orders:
-                    key = _Turning(effect, 0 if one_radius else behind, order * of_motor)
-                    of_order = [each for each in entries if each.parameters.get("order", 1.0) == order]
-                    known.setdefault(key, []).extend(of_order)
-        point = OperatingPoint(*(self._moduli, 0.0, (1.0,) * len(self._moduli), self._moduli))
-        loops = [TensionLoop(self._config, replace(point, line_speed_m_s=speed)) for speed in _GRID_M_S]
+        for effect, behind in product(_BY_ANGLE, (0, 1)):
+            of_axis = [each for each in model.effects if each.effect == effect and each.axis == axis + behind]
+            of_motor = model.gear_ratio(axis + behind) if effect == "torque_ripple" else 1.0
+            for order in {each.parameters.get("order", 1.0): None for each in of_axis} or {1.0: None}:
+                key = _Turning(effect, 0 if one_radius else behind, order * of_motor)
+                if effect in control.effects and key._replace(effect=_BY_ANGLE[0]) not in known.keys() - {key}:
+                    entries = [each for each in of_axis if each.parameters.get("order", 1.0) == order]
+                    known.setdefault(key, []).extend(entries)
+        moduli_Pa = tuple(model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1))
+        points = [OperatingPoint(moduli_Pa, speed, (1.0,) * len(moduli_Pa), moduli_Pa) for speed in _GRID_M_S]
+        loops = [TensionLoop(self._config, point) for point in points]
         return {key: self._one(control, key, entries, loops) for key, entries in known.items()}
-
-    @property
-    def _moduli(self) -> tuple[float, ...]:
-        model = self._config.web_line
-        return tuple(model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1))
 
     def _one(
         self, control: CompensationConfig, key: _Turning, entries: list[EffectEntry], loops: list[TensionLoop]
     ) -> Compensated:
         """Responses of an order at all speeds, and what the model knows of it."""
         config, model, span, axis = self._config, self._config.web_line, self._names.span, self._names.axis
-        omega = key.order * _GRID_M_S / model.radius_m(axis + key.behind)
+        omega, ripple = key.order * _GRID_M_S / model.radius_m(axis + key.behind), key.effect == "torque_ripple"
         pairs = zip(loops, omega, strict=True)
-        found = np.array([loop.responses(span, np.array([each]))[0] for loop, each in pairs])
-        gain, of_force = found[:, 0], found[:, 1:]
-        pulls = [float(model.carries_web_load(axis + k)) for k in (0, 1)]
+        gain, *of_force, of_pull, of_twin = np.array([loop.responses(span, each) for loop, each in pairs]).T
+        gain[omega * config.cycle_time_s > _FASTEST_RAD] = np.inf
 
-        def response(effect_axis: int) -> Complexes:
-            k = effect_axis - axis
-            if key.effect == "torque_ripple":
-                return of_force[:, k] * model.motor_rad_per_m(effect_axis)
-            web_m_s = (1.0 if k else -1.0) * _GRID_M_S / model.radius_m(effect_axis)
-            unseen_N = self._k_N_per_m * web_m_s / (1j * omega + _GRID_M_S / model.span_length_m(span))
-            total: Complexes = unseen_N * (1.0 + pulls[0] * of_force[:, 0] - pulls[1] * of_force[:, 1])
-            return total
+        def response(turning: int) -> Complexes:
+            if ripple:
+                return np.asarray(of_force[turning - axis] * model.motor_rad_per_m(turning))
+            web_m_s = (-1.0 if turning == axis else 1.0) * _GRID_M_S / model.radius_m(turning)
+            unseen_N = self._strained_N(web_m_s, omega, _GRID_M_S)
+            return np.asarray(unseen_N * (1.0 + of_pull + (of_twin if entries else 0.0)))
 
         known = np.zeros(SPEEDS, complex)
         for entry in entries:
             assert entry.axis is not None, "of an axis"
-            phase = np.exp(1j * entry.parameters.get("phase_rad", 0.0))
-            ripple = key.effect == "torque_ripple"
             size = -1j * entry.parameters["amplitude_Nm"] if ripple else entry.parameters["amplitude_m"]
-            known = known + size * phase * response(entry.axis)
-        gain[omega * config.cycle_time_s > _FASTEST_RAD] = np.inf
-        set_point_N = config.tension_controls[span].set_point_N
-        least_N = 0.01 * control.least_pct * set_point_N
+            known += size * np.exp(1j * entry.parameters.get("phase_rad", 0.0)) * response(entry.axis)
+        least_N = 0.01 * control.least_pct * config.tension_controls[span].set_point_N
         return Compensated(gain, response(axis + key.behind), known, control.limit_m_s, least_N)
+
+    def _strained_N(self, stretch_m_s: Any, omega: Any, speed_m_s: Any) -> Any:
+        """Tension that a rate of stretching makes in the span, at a frequency and a speed of the web."""
+        model, span = self._config.web_line, self._names.span
+        length_m = model.span_length_m(span)
+        return model.stiffness_N(span) / length_m * stretch_m_s / (1j * omega + speed_m_s / length_m)
 
     def stages(self, sample: CycleSample) -> CompiledStages:
         """Compiled stage of a cycle, and Python's at the end of a turn."""
@@ -180,41 +209,39 @@ class CompensationTask(StagedTask):
         behind_at = np.array([kind.places([f"tau{k}_Nm", f"v{k}_m_s"]) for k in behind])
         arrays = _Arrays(
             *(np.asarray(self._turns), np.asarray(self._orders), self._commands, self._loop),
-            *(kind.places(of_span), behind_at, self._behind, sample.reals),
+            *(kind.places(of_span), behind_at, self._behind, self._leader),
+            *(self._rollers, self._frictions_N, sample.reals),
         )
         stage = CompiledStage(run, 0, arrays, fallback=lambda _: self._turned(sample))
         return CompiledStages(before=[stage], shown={self._names.drive: self._names.command})
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Begin the next turn anew."""
-        self._turn.mean_momentum_Ns = 0.0
+        """Begin the next turn anew; the drives hold no friction."""
+        self._turn.mean_momentum_Ns, self._rollers["held_N"] = 0.0, np.nan
 
     def _turned(self, sample: CycleSample) -> bool:
         """Learn from a turn of a steady line."""
-        turn, model = self._turn, self._config.web_line
-        x_m = (getattr(sample, f"x{self._names.axis}_m"), getattr(sample, f"x{self._names.axis + 1}_m"))
+        turn, radius_m, axis = self._turn, self._config.web_line.radius_m, self._names.axis
         speed_m_s = turn.mean_momentum_Ns / sum(self._behind[:, 1])
         for number, (key, each) in enumerate(self._compensated.items() if turn.is_steady else ()):
-            o, omega = self._orders[number], key.order * speed_m_s / model.radius_m(self._names.axis + key.behind)
-            force_N, momentum_Ns, stretch_m_s = (
-                2.0 / turn.cycles * (o[f"{name}_c"] - 1j * o[f"{name}_s"]) for name in ("force", "momentum", "stretch")
-            )
+            o, omega = self._orders[number], key.order * speed_m_s / radius_m(axis + key.behind)
+            sums = [o[f"{name}_c"] - 1j * o[f"{name}_s"] for name in ("force", "momentum", "stretch")]
+            force_N, momentum_Ns, stretch_m_s = (2.0 / turn.cycles * each for each in sums)
             left_N = force_N - 1j * omega * momentum_Ns
             if key.effect == "torque_ripple":
-                left_N = self._k_N_per_m * stretch_m_s / (
-                    1j * omega + speed_m_s / model.span_length_m(self._names.span)
-                )
-            self._tell(key, each, each.take(left_N, speed_m_s))
+                left_N = self._strained_N(stretch_m_s, omega, speed_m_s)
+            self._tell(key, each, each.take(left_N, turn.trend_N, speed_m_s))
             self._commands[number, :, 0], self._commands[number, :, 1] = each.command.real, each.command.imag
-        _begin_turn(turn, self._orders, x_m[0] / turn.radius_m)
+        _begin_turn(turn, self._orders, getattr(sample, f"x{axis}_m") / turn.radius_m)
         return True
 
     def _tell(self, key: _Turning, each: Compensated, event: str) -> None:
         """Note what became of a compensation."""
         told = {
             "helps": "compensated",
-            "worse": "no longer compensated: it makes it worse",
-            "useless": "not compensated: it does not help",
+            "wrong": "taken back, and learned from nothing: it is not what the model knows",
+            "worse": "taken back: it makes it worse",
+            "useless": "taken back for good: it does not help",
         }.get(event)
         if told:
             what = f"{key.effect} of order {key.order:g}, {self._names.of_loop}: {told}"

@@ -22,24 +22,39 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import Reals3, Vector, compiled, record_type
+from hilbench.compiled import Reals2, Reals3, compiled, record_type
+from hilbench.control.web_line.feed_forward import lead_m_s
 
-#: Share of what is left that a turn takes away: two thirds of the phase error up to which it converges is left then.
-_LEARNS = 0.6
+#: Share of what is left that a change takes away, of the first ones (against an error of the response of 60°), and of
+#: later ones: noise is learned less.
+_LEARNS_MOST, _LEARNS_LEAST = 0.6, 0.1
+#: Turns over which the swing without compensation is averaged at most.
+_AVERAGED = 8
 #: Swing relative to that without compensation from which it makes things worse, and down to which it is to come.
 _WORSE, _HELPS = 1.1, 0.8
+#: What is known, and right, leaves less of it; where more of it comes back it is learned as fast as at first.
+_KNOWN_LEAVES, _ANEW = 0.5, 0.5
+#: Share of the limit up to which more is learned.
+_OF_LIMIT = 0.999
 #: Turns in a row that are worse until it is taken back; turns after a change of which the first is not learned from.
 _WORSE_TURNS, _TURNS_PER_CHANGE = 2, 2
 #: Changes after which it is to help; how often it is tried.
 _CHANGES, _TRIALS = 8, 3
-#: Mean speeds of two turns that are of a steady line differ by less than this share, the mean forces by this.
-_STEADY, _STEADY_N = 2e-3, 1.0
+#: Mean speeds of two turns of a steady line differ by less than this share.
+_STEADY = 2e-3
 
-#: A turn of the roller before the span: angle at its start, cycles, sums, and means of the last turn.
+#: A turn of the roller before the span: angle at its start, cycles, sums, and means of the last turn, the mean force of
+#: the one before, and how far the mean force is from both.
 TURN = record_type(
     *("radius_m", "limit_m_s", "start_rad", "cycles", "is_steady"),
     *("force_N", "momentum_Ns", "stretch_m_s"),
-    *("mean_force_N", "mean_momentum_Ns", "mean_stretch_m_s"),
+    *(
+        "mean_force_N",
+        "mean_momentum_Ns",
+        "mean_stretch_m_s",
+        "before_N",
+        "trend_N",
+    ),
 )
 #: An order of the angle of a roller, behind the span or before it; sums of a turn: of the deviations from the last
 #: turn's means, by cosine and sine.
@@ -50,6 +65,8 @@ ORDER = record_type(
 #: Speeds of the tables of commands, evenly in their logarithm: below the first nothing is compensated.
 LEAST_M_S, MOST_M_S, SPEEDS = 0.05, 50.0, 64
 _PER_SPEED = (SPEEDS - 1) / log(MOST_M_S / LEAST_M_S)
+#: Speed up to which dry friction grows: while a roller sticks none is led.
+_STICKS_M_S = 0.01
 Complexes = NDArray[np.complex128]
 
 
@@ -82,7 +99,7 @@ def compensate(
     t.momentum_Ns += momentum_Ns
     t.stretch_m_s += stretch_m_s
     place = log(speed_m_s / LEAST_M_S) * _PER_SPEED
-    at = int(floor(place))
+    at = floor(place)
     share, correction_m_s = place - at, 0.0
     for k in range(len(orders)):
         o = orders[k]
@@ -101,14 +118,29 @@ def compensate(
 
 @compiled
 def end_turn(t: Any, angle_rad: float) -> bool:
-    """Say if a turn is complete, and whether the line was steady in it."""
+    """Say if a turn is complete, and whether the speed was even in it."""
     if abs(angle_rad - t.start_rad) < 2.0 * pi:
         return False
     force_N, momentum_Ns = t.force_N / t.cycles, t.momentum_Ns / t.cycles
     changed = abs(momentum_Ns - t.mean_momentum_Ns) > _STEADY * abs(momentum_Ns)
-    t.is_steady = 0.0 if changed or abs(force_N - t.mean_force_N) > _STEADY_N else 1.0
+    t.is_steady = 0.0 if changed else 1.0
+    t.trend_N, t.before_N = min(abs(force_N - t.mean_force_N), abs(force_N - t.before_N)), t.mean_force_N
     t.mean_force_N, t.mean_momentum_Ns, t.mean_stretch_m_s = force_N, momentum_Ns, t.stretch_m_s / t.cycles
     return True
+
+
+@compiled
+def friction_lead_m_s(rollers: Any, frictions_N: Reals2, speed_m_s: float) -> float:
+    """Lead of the command before the span over the one behind it for the friction of the rollers at its ends, `ROLLER`
+    (2,): their drives hold a constant one, and give way while it changes. `frictions_N` (2, `SPEEDS`)."""
+    place = log(min(max(abs(speed_m_s), LEAST_M_S), 0.99 * MOST_M_S) / LEAST_M_S) * _PER_SPEED
+    at = floor(place)
+    share, part, found_m_s = place - at, min(max(speed_m_s / _STICKS_M_S, -1.0), 1.0), 0.0
+    for k in range(len(rollers)):
+        friction_N = part * (frictions_N[k, at] + share * (frictions_N[k, at + 1] - frictions_N[k, at]))
+        lead = lead_m_s(rollers[k], 0.0, friction_N)
+        found_m_s += lead if k == 0 else -lead
+    return found_m_s
 
 
 def by_speed(table: Complexes, speed_m_s: float) -> complex:
@@ -129,7 +161,7 @@ class Compensated:
     learned: complex = 0.0  #: Z beyond what is known
     is_on: bool = False
     trials: int = 0
-    before_N: float = 0.0  #: swing without compensation
+    before: complex = 0.0  #: swing without compensation, N
     before_m_s: float = 1.0  #: and the line's speed then
     changes: int = 0
     turns: int = 0  #: since the last change
@@ -140,50 +172,61 @@ class Compensated:
     @property
     def command(self) -> Complexes:
         """Amplitude of the command by speed, m/s, within the limit."""
-        if not self.is_on:
-            return np.zeros(SPEEDS, complex)
         wanted = -(self.known + self.learned * self.response) / self.gain
-        found: Complexes = wanted * np.minimum(1.0, self.limit_m_s / np.maximum(np.abs(wanted), 1e-300))
-        return found
+        found: Complexes = wanted * np.minimum(1.0, self.limit_m_s / np.maximum(np.abs(wanted), LEAST_M_S * 1e-9))
+        return found if self.is_on else 0.0 * found
 
-    def take(self, left_N: complex, speed_m_s: float) -> str:
-        """Take the swing of a steady turn. Returns "", or what became of it: "on", "worse", "useless", "helps"."""
+    def take(self, left_N: complex, trend_N: float, speed_m_s: float) -> str:
+        """Take the swing of a turn at an even speed; one that has more of a trend than of a swing is none. Returns "",
+        or what became of the compensation: "on", "helps", "wrong" (what is known), "worse" or "useless"."""
         self.swing_N, response = abs(left_N), by_speed(self.response, speed_m_s)
-        swing_N = self.swing_N
+        if trend_N > max(self.swing_N, self.least_N) or not np.isfinite(by_speed(self.gain, speed_m_s)):
+            return ""
         self.turns += 1
         if not self.is_on:
-            self.before_N, self.before_m_s = swing_N, speed_m_s
-            if self.turns < _TURNS_PER_CHANGE or self.trials >= _TRIALS or response == 0.0:
-                return ""
-            known = bool(np.any(self.known)) and self.trials == 0
-            if not known and swing_N < self.least_N:
-                return ""
-            self.is_on, self.trials, self.turns, self.changes, self.worse = True, self.trials + 1, 0, 0, 0
-            if not known:
-                self._learn(left_N, response)
-            return "on"
-        before_N = self.before_N * abs(response / by_speed(self.response, self.before_m_s))
-        self.without_N = before_N
-        if swing_N > max(_WORSE * before_N, before_N + self.least_N):
+            return self._observe(left_N, speed_m_s)
+        self.without_N = abs(self.before * response / by_speed(self.response, self.before_m_s))
+        is_tried = self.changes == 0 and bool(np.any(self.known))
+        share = _KNOWN_LEAVES if is_tried else _WORSE
+        if self.swing_N > max(share * self.without_N, self.least_N + (0.0 if is_tried else self.without_N)):
             self.worse += 1
-            return self._off("worse") if self.worse >= _WORSE_TURNS else ""
+            return self._off("wrong" if is_tried else "worse") if self.worse >= _WORSE_TURNS else ""
         self.worse = 0
         if self.turns < _TURNS_PER_CHANGE:
             return ""
-        self.changes += 1
-        if self.changes == _CHANGES:
-            if swing_N > _HELPS * before_N:
-                self.trials = _TRIALS
-                return self._off("useless")
-            self._learn(left_N, response)
-            return "helps"
-        self._learn(left_N, response)
-        return ""
+        if self.changes == _CHANGES - 1 and self.swing_N > _HELPS * self.without_N:
+            self.trials = _TRIALS
+            return self._off("useless")
+        if self.changes >= _CHANGES and self.swing_N > _ANEW * self.without_N:
+            self.changes = 1
+        self._learn(left_N, speed_m_s)
+        if self.changes != _CHANGES:
+            return ""
+        self.trials = 0
+        return "helps"
 
-    def _learn(self, left_N: complex, response: complex) -> None:
-        self.learned, self.turns = self.learned + _LEARNS * left_N / response, 0
+    def _observe(self, left_N: complex, speed_m_s: float) -> str:
+        """Take a swing without compensation: begin with it where it is large, or known."""
+        self.before += (left_N - self.before) / min(self.turns, _AVERAGED)
+        self.before_m_s = speed_m_s
+        known = bool(np.any(self.known))
+        if self.turns < _TURNS_PER_CHANGE or self.trials >= _TRIALS or not (known or abs(self.before) > self.least_N):
+            return ""
+        self.is_on, self.trials, self.changes, self.worse, self.turns = True, self.trials + 1, 0, 0, 0
+        if not known:
+            self._learn(left_N, speed_m_s)
+        return "on"
+
+    def _learn(self, left_N: complex, speed_m_s: float) -> None:
+        """Take a share of what is left away, as far as the limit lets it act at this speed."""
+        share = max(_LEARNS_LEAST, min(_LEARNS_MOST, 2.0 / (1.0 + self.changes)))
+        learned = self.learned + share * left_N / by_speed(self.response, speed_m_s)
+        before, self.learned = self.learned, learned
+        if abs(by_speed(self.command, speed_m_s)) > _OF_LIMIT * self.limit_m_s:
+            self.learned = before
+        self.changes, self.turns = self.changes + 1, 0
 
     def _off(self, why: str) -> str:
-        self.is_on, self.learned, self.turns = False, 0.0, 0
+        self.is_on, self.learned, self.before, self.turns = False, 0.0, 0.0, 0
         self.known = np.zeros(SPEEDS, complex)
         return why
