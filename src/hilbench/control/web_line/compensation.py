@@ -28,8 +28,8 @@ from hilbench.control.web_line.feed_forward import lead_m_s
 #: Share of what is left that a change takes away, of the first ones (against an error of the response of 60°), and of
 #: later ones: noise is learned less.
 _LEARNS_MOST, _LEARNS_LEAST = 0.6, 0.1
-#: Turns over which the swing without compensation is averaged at most.
-_AVERAGED = 8
+#: Turns over which the swing without compensation is averaged at most; a turn's own is as near to it if it lasts.
+_AVERAGED, _LASTS = 8, 0.5
 #: Swing relative to that without compensation from which it makes things worse, and down to which it is to come.
 _WORSE, _HELPS = 1.1, 0.8
 #: What is known, and right, leaves less of it; where more of it comes back it is learned as fast as at first.
@@ -209,8 +209,10 @@ class Compensated:
         """Take a swing without compensation: begin with it where it is large, or known."""
         self.before += (left_N - self.before) / min(self.turns, _AVERAGED)
         self.before_m_s = speed_m_s
-        known = bool(np.any(self.known))
-        if self.turns < _TURNS_PER_CHANGE or self.trials >= _TRIALS or not (known or abs(self.before) > self.least_N):
+        known, lasts = bool(np.any(self.known)), abs(left_N - self.before) < _LASTS * abs(self.before)
+        if self.turns < _TURNS_PER_CHANGE or self.trials >= _TRIALS:
+            return ""
+        if not (known or (lasts and abs(self.before) > self.least_N)):
             return ""
         self.is_on, self.trials, self.changes, self.worse, self.turns = True, self.trials + 1, 0, 0, 0
         if not known:
