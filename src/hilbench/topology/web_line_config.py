@@ -177,7 +177,9 @@ class CompensationConfig(Block):
     machine's effects know of it is fed forward, the rest is learned turn by turn; off where it does not help."""
 
     kind: Literal["compensate"] = Field(default="compensate", description="a list alone is that of its effects")
-    effects: tuple[Compensable, ...] = Field(min_length=1, description="ids of the vocabulary of effects")
+    effects: tuple[Compensable, ...] = Field(
+        description="what: ids of the vocabulary of effects; friction: dry, viscous and Stribeck; [] is off"
+    )
     limit_m_s: PositiveFloat = Field(
         default=0.005, description="largest velocity for each: a quarter of what the loop may correct, 100 um at 8 Hz"
     )

@@ -109,7 +109,8 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
         axes.append(loops[axis])
         for each in loops_of(CompensationConfig, config.controllers.values()):
-            compensating.append(CompensationTask(config, each, reports, names, loops[axis].loop, axes[-2].speeds))
+            if each.effects:
+                compensating.append(CompensationTask(config, each, reports, names, loops[axis].loop, axes[-2].speeds))
     of_spans = {loop.span: loop for loop in loops.values()}
     watched = watched_loops(model, list(loops.values()), trusts, config.twin)
     watch = [TensionWatch(watched, model, config.twin, state.twin, cycle_s)] if watched else []

@@ -113,6 +113,13 @@ def _friction_N(model: ModelParameters, axis: int) -> Vector:
     return found
 
 
+def _size(entry: EffectEntry) -> complex:
+    """Amplitude and phase of an effect that goes by the angle: of a cosine."""
+    of = entry.parameters
+    size = of["amplitude_m"] if entry.effect == "roller_eccentricity" else -1j * of["amplitude_Nm"]
+    return complex(size * np.exp(1j * of.get("phase_rad", 0.0)))
+
+
 class _Turning(NamedTuple):
     """What turns: an effect, and its order in turns of the roller before the span (0) or behind it (1)."""
 
@@ -135,6 +142,7 @@ class CompensationTask(StagedTask):
     ) -> None:
         self._config, self._names, self._reports, self._loop, self._leader = config, names, reports, loop, leader
         model, axis = config.web_line, names.axis
+        self._apart = int(abs(model.radius_m(axis + 1) / model.radius_m(axis) - 1.0) > _ONE_RADIUS)
         behind = range(axis + 1, model.axis_count + 1)
         self._behind = np.array([(model.motor_rad_per_m(k), model.mass_kg(k)) for k in behind])
         self._compensated = self._all(control)
@@ -155,13 +163,12 @@ class CompensationTask(StagedTask):
     def _all(self, control: CompensationConfig) -> dict[_Turning, Compensated]:
         """What is compensated: the orders of effects that the model knows, and of others the first."""
         model, axis = self._config.web_line, self._names.axis
-        one_radius = abs(model.radius_m(axis + 1) / model.radius_m(axis) - 1.0) < _ONE_RADIUS
         known: dict[_Turning, list[EffectEntry]] = {}
         for effect, behind in product(_BY_ANGLE, (0, 1)):
             of_axis = [each for each in model.effects if each.effect == effect and each.axis == axis + behind]
             of_motor = model.gear_ratio(axis + behind) if effect == "torque_ripple" else 1.0
             for order in {each.parameters.get("order", 1.0): None for each in of_axis} or {1.0: None}:
-                key = _Turning(effect, 0 if one_radius else behind, order * of_motor)
+                key = _Turning(effect, min(behind, self._apart), order * of_motor)
                 if effect in control.effects and key._replace(effect=_BY_ANGLE[0]) not in known.keys() - {key}:
                     entries = [each for each in of_axis if each.parameters.get("order", 1.0) == order]
                     known.setdefault(key, []).extend(entries)
@@ -190,10 +197,11 @@ class CompensationTask(StagedTask):
         known = np.zeros(SPEEDS, complex)
         for entry in entries:
             assert entry.axis is not None, "of an axis"
-            size = -1j * entry.parameters["amplitude_Nm"] if ripple else entry.parameters["amplitude_m"]
-            known += size * np.exp(1j * entry.parameters.get("phase_rad", 0.0)) * response(entry.axis)
+            known += _size(entry) * response(entry.axis)
+        pushes = [each for each in model.effects if each.effect == "unbalance" and each.axis == axis + 1]
+        besides_N = sum(map(_size, pushes)) / model.radius_m(axis + 1) if key.behind == self._apart else 0.0
         least_N = 0.01 * control.least_pct * config.tension_controls[span].set_point_N
-        return Compensated(gain, response(axis + key.behind), known, control.limit_m_s, least_N)
+        return Compensated(gain, response(axis + key.behind), known, besides_N, control.limit_m_s, least_N)
 
     def _strained_N(self, stretch_m_s: Any, omega: Any, speed_m_s: Any) -> Any:
         """Tension that a rate of stretching makes in the span, at a frequency and a speed of the web."""
@@ -227,7 +235,7 @@ class CompensationTask(StagedTask):
             o, omega = self._orders[number], key.order * speed_m_s / radius_m(axis + key.behind)
             sums = [o[f"{name}_c"] - 1j * o[f"{name}_s"] for name in ("force", "momentum", "stretch")]
             force_N, momentum_Ns, stretch_m_s = (2.0 / turn.cycles * each for each in sums)
-            left_N = force_N - 1j * omega * momentum_Ns
+            left_N = force_N - 1j * omega * momentum_Ns + each.besides_N
             if key.effect == "torque_ripple":
                 left_N = self._strained_N(stretch_m_s, omega, speed_m_s)
             self._tell(key, each, each.take(left_N, turn.trend_N, speed_m_s))

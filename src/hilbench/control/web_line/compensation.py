@@ -156,6 +156,7 @@ class Compensated:
     gain: Complexes
     response: Complexes
     known: Complexes
+    besides_N: complex  #: what turns with the roller behind the span as well, known: of its unbalance
     limit_m_s: float
     least_N: float
     learned: complex = 0.0  #: Z beyond what is known
