@@ -110,7 +110,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         axes.append(loops[axis])
         for each in loops_of(CompensationConfig, config.controllers.values()):
             if each.effects:
-                compensating.append(CompensationTask(config, each, reports, names, loops[axis].loop, axes[-2].speeds))
+                compensating.append(CompensationTask(config, each, reports, loops[axis]))
     of_spans = {loop.span: loop for loop in loops.values()}
     watched = watched_loops(model, list(loops.values()), trusts, config.twin)
     watch = [TensionWatch(watched, model, config.twin, state.twin, cycle_s)] if watched else []

@@ -9,18 +9,16 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from hilbench.bench.state import Reports
+from hilbench.bench.tasks import tension_cycle as cycle
 from hilbench.bench.tasks.task import CompiledStages, Outputs, StagedTask
-from hilbench.bench.tasks.tension_cycle import LOOP
-from hilbench.bench.tasks.tension_cycle import SPEEDS as COMMANDED
 from hilbench.bench.tasks.tension_loop import OperatingPoint, TensionLoop
-from hilbench.bench.tasks.tension_task import LoopNames
+from hilbench.bench.tasks.tension_task import TensionTask
 from hilbench.compiled import (
     COUNT,
     TABLE,
     Reals,
     Reals2,
     Reals3,
-    Records,
     Vector,
     Wholes,
     Wholes2,
@@ -30,19 +28,8 @@ from hilbench.compiled import (
     load,
     records,
 )
-from hilbench.control.web_line.compensation import (
-    LEAST_M_S,
-    MOST_M_S,
-    ORDER,
-    SPEEDS,
-    TURN,
-    Compensated,
-    Complexes,
-    begin_turn,
-    compensate,
-    end_turn,
-    friction_lead_m_s,
-)
+from hilbench.control.web_line import compensation as law
+from hilbench.control.web_line.compensation import SPEEDS, Compensated, Complexes
 from hilbench.control.web_line.feed_forward import ROLLER, rollers_of
 from hilbench.cycle_program import CONTINUE, CompiledStage
 from hilbench.plant.parameters import EffectEntry
@@ -57,23 +44,29 @@ _FASTEST_RAD = 1.0
 _ONE_RADIUS = 0.01
 #: Effects that turn: of two at one order the first is compensated.
 _BY_ANGLE: tuple[Compensable, ...] = ("roller_eccentricity", "torque_ripple")
+_TOLD = {
+    "helps": "compensated",
+    "wrong": "taken back, and learned from nothing: it is not what the model knows",
+    "worse": "taken back: it makes it worse",
+    "useless": "taken back for good: it does not help",
+}
 _TURNED = CONTINUE + 1
-_GRID_M_S = np.geomspace(LEAST_M_S, MOST_M_S, SPEEDS)
-_begin_turn = interpreted(begin_turn)
+_GRID_M_S = np.geomspace(law.LEAST_M_S, law.MOST_M_S, SPEEDS)
+_begin_turn = interpreted(law.begin_turn)
 
 
 class _Arrays(NamedTuple):
     """What a cycle works on; `at`: places of positions and speeds at the ends of the span, and of the command; of the
     rollers behind it the places of torque and speed, force per torque and mass."""
 
-    turn: Annotated[Any, TURN]
-    orders: Annotated[Any, records(ORDER)]
+    turn: Annotated[Any, law.TURN]
+    orders: Annotated[Any, records(law.ORDER)]
     commands: Reals3
-    loop: Annotated[Any, LOOP]
+    loop: Annotated[Any, cycle.LOOP]
     at: Wholes
     behind_at: Wholes2
     behind: Reals2
-    leader: Annotated[Any, COMMANDED]
+    leader: Annotated[Any, cycle.SPEEDS]
     rollers: Annotated[Any, records(ROLLER)]
     frictions_N: Reals2
     values: Reals
@@ -86,30 +79,27 @@ def run(_: int, table: Wholes2) -> int:
     values, at, turn = a.values, a.at, a.turn
     x1_m, x2_m, v1_m_s, v2_m_s = values[at[0]], values[at[1]], values[at[2]], values[at[3]]
     angle_rad, force_N, momentum_Ns = x1_m / turn.radius_m, 0.0, 0.0
-    values[at[4]] += friction_lead_m_s(a.rollers, a.frictions_N, a.leader.undamped)
+    values[at[4]] += law.friction_lead_m_s(a.rollers, a.frictions_N, a.leader.undamped)
     if a.loop.closed != 1.0:
-        begin_turn(turn, a.orders, angle_rad)
+        law.begin_turn(turn, a.orders, angle_rad)
         turn.mean_momentum_Ns = 0.0
         return CONTINUE
     for k in range(len(a.behind)):
         force_N += a.behind[k, 0] * values[a.behind_at[k, 0]]
         momentum_Ns += a.behind[k, 1] * values[a.behind_at[k, 1]]
     seen = (force_N, momentum_Ns, v2_m_s - v1_m_s)
-    values[at[4]] += compensate(turn, a.orders, a.commands, x1_m, x2_m, v1_m_s, seen)
-    return _TURNED if end_turn(turn, angle_rad) else CONTINUE
+    values[at[4]] += law.compensate(turn, a.orders, a.commands, x1_m, x2_m, v1_m_s, seen)
+    return _TURNED if law.end_turn(turn, angle_rad) else CONTINUE
 
 
 def _friction_N(model: ModelParameters, axis: int) -> Vector:
     """Friction that the model knows of a roller, by speed forward."""
-    found = np.zeros(SPEEDS)
-    for entry in model.effects:
-        of = entry.parameters
-        if entry.axis == axis and entry.effect == "coulomb_friction":
-            found += of["force_N"]
-        if entry.axis == axis and entry.effect == "viscous_friction":
-            found += of["coefficient_N_s_per_m"] * _GRID_M_S
-        if entry.axis == axis and entry.effect == "stribeck_friction":
-            found += of["force_N"] * np.exp(-((_GRID_M_S / of["speed_m_s"]) ** 2))
+    of = {each.effect: each.parameters for each in model.effects if each.axis == axis}
+    found = np.full(SPEEDS, of.get("coulomb_friction", {}).get("force_N", 0.0))
+    found += of.get("viscous_friction", {}).get("coefficient_N_s_per_m", 0.0) * _GRID_M_S
+    if "stribeck_friction" in of:
+        force_N, speed_m_s = (of["stribeck_friction"][name] for name in ("force_N", "speed_m_s"))
+        found += force_N * np.exp(-((_GRID_M_S / speed_m_s) ** 2))
     return found
 
 
@@ -129,28 +119,20 @@ class _Turning(NamedTuple):
 
 
 class CompensationTask(StagedTask):
-    """Compensation in the span of a tension loop, after that in a cycle; `loop`: of that task."""
+    """Compensation in the span of a tension loop, after that in a cycle."""
 
-    def __init__(
-        self,
-        config: BenchConfig,
-        control: CompensationConfig,
-        reports: Reports,
-        names: LoopNames,
-        loop: Records,
-        leader: Records,
-    ) -> None:
-        self._config, self._names, self._reports, self._loop, self._leader = config, names, reports, loop, leader
-        model, axis = config.web_line, names.axis
+    def __init__(self, config: BenchConfig, control: CompensationConfig, reports: Reports, loop: TensionTask) -> None:
+        self._config, self._names, self._reports, self._loop = config, loop.names, reports, loop
+        model, axis = config.web_line, loop.names.axis
         self._apart = int(abs(model.radius_m(axis + 1) / model.radius_m(axis) - 1.0) > _ONE_RADIUS)
         behind = range(axis + 1, model.axis_count + 1)
         self._behind = np.array([(model.motor_rad_per_m(k), model.mass_kg(k)) for k in behind])
         self._compensated = self._all(control)
-        self._orders = np.zeros(len(self._compensated), ORDER).view(np.recarray)
+        self._orders = np.zeros(len(self._compensated), law.ORDER).view(np.recarray)
         for order, key in zip(self._orders, self._compensated, strict=True):
             order.order, order.radius_m, order.behind = key.order, model.radius_m(axis + key.behind), key.behind
         self._commands = np.zeros((len(self._orders), SPEEDS, 2))
-        self._turns = np.zeros(1, TURN).view(np.recarray)
+        self._turns = np.zeros(1, law.TURN).view(np.recarray)
         self._turn = self._turns[0]
         self._turn.radius_m, self._turn.limit_m_s = model.radius_m(axis), control.limit_m_s
         self._rollers, self._frictions_N = np.zeros(0, ROLLER), np.zeros((0, SPEEDS))
@@ -216,8 +198,8 @@ class CompensationTask(StagedTask):
         behind = range(axis + 1, axis + 1 + len(self._behind))
         behind_at = np.array([kind.places([f"tau{k}_Nm", f"v{k}_m_s"]) for k in behind])
         arrays = _Arrays(
-            *(np.asarray(self._turns), np.asarray(self._orders), self._commands, self._loop),
-            *(kind.places(of_span), behind_at, self._behind, self._leader),
+            *(np.asarray(self._turns), np.asarray(self._orders), self._commands, self._loop.loop),
+            *(kind.places(of_span), behind_at, self._behind, self._loop.leader.speeds),
             *(self._rollers, self._frictions_N, sample.reals),
         )
         stage = CompiledStage(run, 0, arrays, fallback=lambda _: self._turned(sample))
@@ -245,13 +227,7 @@ class CompensationTask(StagedTask):
 
     def _tell(self, key: _Turning, each: Compensated, event: str) -> None:
         """Note what became of a compensation."""
-        told = {
-            "helps": "compensated",
-            "wrong": "taken back, and learned from nothing: it is not what the model knows",
-            "worse": "taken back: it makes it worse",
-            "useless": "taken back for good: it does not help",
-        }.get(event)
-        if told:
-            what = f"{key.effect} of order {key.order:g}, {self._names.of_loop}: {told}"
+        if event in _TOLD:
+            what = f"{key.effect} of order {key.order:g}, {self._names.of_loop}: {_TOLD[event]}"
             swing = f"the tension swings by {each.swing_N:.2g} N, {each.without_N:.2g} N without"
             self._reports.note("compensation", f"{what} ({swing})", kind=f"{key}{event}")

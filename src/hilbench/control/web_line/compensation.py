@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import Reals2, Reals3, compiled, record_type
+from hilbench.compiled import Reals2, Reals3, compiled, interpreted, record_type
 from hilbench.control.web_line.feed_forward import lead_m_s
 
 #: Share of what is left that a change takes away, of the first ones (against an error of the response of 60°), and of
@@ -43,21 +43,13 @@ _CHANGES, _TRIALS = 8, 3
 #: Mean speeds of two turns of a steady line differ by less than this share.
 _STEADY = 2e-3
 
-#: A turn of the roller before the span: angle at its start, cycles, sums, and means of the last turn, the mean force of
-#: the one before, and how far the mean force is from both.
+#: A turn of the roller before the span: angle at its start, cycles and sums, and of the last turns means and the trend.
 TURN = record_type(
-    *("radius_m", "limit_m_s", "start_rad", "cycles", "is_steady"),
-    *("force_N", "momentum_Ns", "stretch_m_s"),
-    *(
-        "mean_force_N",
-        "mean_momentum_Ns",
-        "mean_stretch_m_s",
-        "before_N",
-        "trend_N",
-    ),
+    *("radius_m", "limit_m_s", "start_rad", "cycles", "is_steady", "force_N", "momentum_Ns"),
+    *("mean_force_N", "mean_momentum_Ns", "before_N", "trend_N"),
 )
-#: An order of the angle of a roller, behind the span or before it; sums of a turn: of the deviations from the last
-#: turn's means, by cosine and sine.
+#: An order of the angle of a roller, behind the span or before it; sums of a turn by cosine and sine, of force and
+#: momentum what deviates from the last means.
 ORDER = record_type(
     *("order", "radius_m", "behind"),
     *("force_c", "force_s", "momentum_c", "momentum_s", "stretch_c", "stretch_s"),
@@ -71,10 +63,15 @@ Complexes = NDArray[np.complex128]
 
 
 @compiled
+def _at(speed_m_s: float) -> float:
+    """Place of a speed in the tables."""
+    return log(min(max(speed_m_s, LEAST_M_S), 0.999 * MOST_M_S) / LEAST_M_S) * _PER_SPEED
+
+
+@compiled
 def begin_turn(t: Any, orders: Any, angle_rad: float) -> None:
     """Begin a turn: no sums yet."""
-    t.start_rad, t.cycles = angle_rad, 0.0
-    t.force_N = t.momentum_Ns = t.stretch_m_s = 0.0
+    t.start_rad, t.cycles, t.force_N, t.momentum_Ns = angle_rad, 0.0, 0.0, 0.0
     for k in range(len(orders)):
         o = orders[k]
         o.force_c = o.force_s = o.momentum_c = o.momentum_s = o.stretch_c = o.stretch_s = 0.0
@@ -97,10 +94,8 @@ def compensate(
     t.cycles += 1.0
     t.force_N += force_N
     t.momentum_Ns += momentum_Ns
-    t.stretch_m_s += stretch_m_s
-    place = log(speed_m_s / LEAST_M_S) * _PER_SPEED
-    at = floor(place)
-    share, correction_m_s = place - at, 0.0
+    at, correction_m_s = floor(_at(speed_m_s)), 0.0
+    share = _at(speed_m_s) - at
     for k in range(len(orders)):
         o = orders[k]
         angle_rad = o.order * (x1_m if o.behind == 0.0 else x2_m) / o.radius_m
@@ -111,8 +106,8 @@ def compensate(
         o.force_s += s * (force_N - t.mean_force_N)
         o.momentum_c += c * (momentum_Ns - t.mean_momentum_Ns)
         o.momentum_s += s * (momentum_Ns - t.mean_momentum_Ns)
-        o.stretch_c += c * (stretch_m_s - t.mean_stretch_m_s)
-        o.stretch_s += s * (stretch_m_s - t.mean_stretch_m_s)
+        o.stretch_c += c * stretch_m_s
+        o.stretch_s += s * stretch_m_s
     return float(min(max(correction_m_s, -t.limit_m_s), t.limit_m_s))
 
 
@@ -122,10 +117,9 @@ def end_turn(t: Any, angle_rad: float) -> bool:
     if abs(angle_rad - t.start_rad) < 2.0 * pi:
         return False
     force_N, momentum_Ns = t.force_N / t.cycles, t.momentum_Ns / t.cycles
-    changed = abs(momentum_Ns - t.mean_momentum_Ns) > _STEADY * abs(momentum_Ns)
-    t.is_steady = 0.0 if changed else 1.0
+    t.is_steady = 1.0 if abs(momentum_Ns - t.mean_momentum_Ns) < _STEADY * momentum_Ns else 0.0
     t.trend_N, t.before_N = min(abs(force_N - t.mean_force_N), abs(force_N - t.before_N)), t.mean_force_N
-    t.mean_force_N, t.mean_momentum_Ns, t.mean_stretch_m_s = force_N, momentum_Ns, t.stretch_m_s / t.cycles
+    t.mean_force_N, t.mean_momentum_Ns = force_N, momentum_Ns
     return True
 
 
@@ -133,19 +127,20 @@ def end_turn(t: Any, angle_rad: float) -> bool:
 def friction_lead_m_s(rollers: Any, frictions_N: Reals2, speed_m_s: float) -> float:
     """Lead of the command before the span over the one behind it for the friction of the rollers at its ends, `ROLLER`
     (2,): their drives hold a constant one, and give way while it changes. `frictions_N` (2, `SPEEDS`)."""
-    place = log(min(max(abs(speed_m_s), LEAST_M_S), 0.99 * MOST_M_S) / LEAST_M_S) * _PER_SPEED
-    at = floor(place)
-    share, part, found_m_s = place - at, min(max(speed_m_s / _STICKS_M_S, -1.0), 1.0), 0.0
+    at, part, found_m_s = floor(_at(abs(speed_m_s))), min(max(speed_m_s / _STICKS_M_S, -1.0), 1.0), 0.0
+    share = _at(abs(speed_m_s)) - at
     for k in range(len(rollers)):
         friction_N = part * (frictions_N[k, at] + share * (frictions_N[k, at + 1] - frictions_N[k, at]))
-        lead = lead_m_s(rollers[k], 0.0, friction_N)
-        found_m_s += lead if k == 0 else -lead
+        found_m_s += (1.0 - 2.0 * k) * lead_m_s(rollers[k], 0.0, friction_N)
     return found_m_s
+
+
+_place = interpreted(_at)
 
 
 def by_speed(table: Complexes, speed_m_s: float) -> complex:
     """Value of a table at a speed."""
-    return complex(np.interp(log(speed_m_s / LEAST_M_S) * _PER_SPEED, np.arange(SPEEDS), table))
+    return complex(np.interp(_place(speed_m_s), np.arange(SPEEDS), table))
 
 
 @dataclass
