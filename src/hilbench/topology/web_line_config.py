@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from math import inf
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Discriminator, Field, FiniteFloat, PositiveFloat, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, FiniteFloat, PositiveFloat, Tag
 
 from hilbench.block import Block
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
@@ -187,11 +187,6 @@ class CompensationConfig(Block):
         default=0.5, description="of the set-point: a smaller swing is left, its noise would be learned"
     )
 
-    @model_validator(mode="before")
-    @classmethod
-    def _effects_alone(cls, value: Any) -> Any:
-        return {"effects": value} if isinstance(value, list) else value
-
 
 def _kind_of(value: Any) -> str:
     if isinstance(value, list):
@@ -204,7 +199,14 @@ ControllerConfig = Annotated[
     Annotated[TensionControlConfig, Tag("tension")]
     | Annotated[PositionControlConfig, Tag("position")]
     | Annotated[ReelControlConfig, Tag("reel")]
-    | Annotated[CompensationConfig, Tag("compensate")],
+    | Annotated[
+        CompensationConfig,
+        BeforeValidator(
+            lambda value: {"effects": value} if isinstance(value, list) else value,
+            json_schema_input_type=CompensationConfig | list[Compensable],
+        ),
+        Tag("compensate"),
+    ],
     Discriminator(
         _kind_of, custom_error_type="kind", custom_error_message="kind: tension, position, reel or compensate"
     ),
