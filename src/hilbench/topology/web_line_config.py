@@ -181,7 +181,8 @@ class CompensationConfig(Block):
         description="what: ids of the vocabulary of effects; friction: dry, viscous and Stribeck; [] is off"
     )
     limit_m_s: PositiveFloat = Field(
-        default=0.005, description="largest velocity for each: a quarter of what the loop may correct, 100 um at 8 Hz"
+        default=0.01,
+        description="largest velocity for each: half of what the loop may correct, which keeps the upper hand",
     )
     least_pct: PositiveFloat = Field(
         default=0.5, description="of the set-point: a smaller swing is left, its noise would be learned"
