@@ -349,7 +349,7 @@ def test_frames_recover_a_line_with_reels(tmp_path: Path) -> None:
         ("controllers.store_position.set_point_m=0.9", "between the stops of 'store', -0.8 to 0.8 m, not 0.9 m"),
         ("controllers.winding_tension.span=2", "one controller between two driven rollers"),
         ("controllers={store: {kind: position, station: store}}", "at least one of a tension"),
-        ("controllers.store_position.kind=speed", "kind: tension, position or reel"),
+        ("controllers.store_position.kind=speed", "kind: tension, position, reel or compensate"),
         ("steps.2.step.path=position_control.shop.feed", "a quantity of a web_line"),
         ("steps.2.step.to=0.5", "expected: 0 or 1"),
     ],

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from math import inf
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Discriminator, Field, FiniteFloat, PositiveFloat, Tag
+from pydantic import BeforeValidator, Discriminator, Field, FiniteFloat, PositiveFloat, Tag
 
 from hilbench.block import Block
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
@@ -169,18 +169,51 @@ class ReelControlConfig(Block):
     )
 
 
+Compensable = Literal["roller_eccentricity", "torque_ripple", "friction"]
+
+
+class CompensationConfig(Block):
+    """Compensation of what turns with the rollers around the spans with a tension loop, beside that loop: what the
+    machine's effects know of it is fed forward, the rest is learned turn by turn; off where it does not help."""
+
+    kind: Literal["compensate"] = Field(default="compensate", description="a list alone is that of its effects")
+    effects: tuple[Compensable, ...] = Field(
+        description="what: ids of the vocabulary of effects; friction: dry, viscous and Stribeck; [] is off"
+    )
+    limit_m_s: PositiveFloat = Field(
+        default=0.01,
+        description="largest velocity for each: half of what the loop may correct, which keeps the upper hand",
+    )
+    least_pct: PositiveFloat = Field(
+        default=0.5, description="of the set-point: a smaller swing is left, its noise would be learned"
+    )
+
+
+def _kind_of(value: Any) -> str:
+    if isinstance(value, list):
+        return "compensate"
+    found: str = value.get("kind", "tension") if isinstance(value, Mapping) else getattr(value, "kind", "tension")
+    return found
+
+
 ControllerConfig = Annotated[
     Annotated[TensionControlConfig, Tag("tension")]
     | Annotated[PositionControlConfig, Tag("position")]
-    | Annotated[ReelControlConfig, Tag("reel")],
+    | Annotated[ReelControlConfig, Tag("reel")]
+    | Annotated[
+        CompensationConfig,
+        BeforeValidator(
+            lambda value: {"effects": value} if isinstance(value, list) else value,
+            json_schema_input_type=CompensationConfig | list[Compensable],
+        ),
+        Tag("compensate"),
+    ],
     Discriminator(
-        lambda value: value.get("kind", "tension") if isinstance(value, Mapping) else getattr(value, "kind", "tension"),
-        custom_error_type="kind",
-        custom_error_message="kind: tension, position or reel",
+        _kind_of, custom_error_type="kind", custom_error_message="kind: tension, position, reel or compensate"
     ),
 ]
 
-Control = TypeVar("Control", TensionControlConfig, PositionControlConfig, ReelControlConfig)
+Control = TypeVar("Control", TensionControlConfig, PositionControlConfig, ReelControlConfig, CompensationConfig)
 
 
 def loops_of(kind: type[Control], controllers: Iterable[ControllerConfig]) -> list[Control]:
@@ -380,7 +413,7 @@ def _force_misfit(station: Dancer | Accumulator, force: CarriageForceConfig | No
 
 
 def _stations_misfit(
-    machine: ModelParameters, controllers: Iterable[ControllerConfig], ahead: str, names: Collection[str]
+    machine: ModelParameters, controllers: Collection[ControllerConfig], ahead: str, names: Collection[str]
 ) -> str | None:
     """Why a bench can't have the stations of its machine, in one line, or None; see `line_misfits`."""
     rollers = machine.line_rollers
@@ -391,6 +424,8 @@ def _stations_misfit(
     probes = [control.probes for control in loops_of(TensionControlConfig, controllers)]
     if any(probing.mode != "off" or probing.at_rest_mm for probing in probes):
         return f"no 'probing' on a line with 'stations:', or {ONLY_DRIVEN}"
+    if loops_of(CompensationConfig, controllers):
+        return f"no 'compensate' on a line with 'stations:', or {ONLY_DRIVEN}"
     twice = [name for name in station_names(machine) if name in names]
     return f"names that differ: a station and another part are both named {twice[0]}" if twice else None
 

@@ -21,6 +21,7 @@ from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, StagedTask
+from hilbench.bench.tasks.tension_compensation import CompensationTask
 from hilbench.bench.tasks.tension_cycle import SPEEDS
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_probing import Probing
@@ -50,7 +51,7 @@ from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample, sample_type
 from hilbench.topology.signals import Shape
-from hilbench.topology.web_line_config import ProbingConfig, TensionControlConfig
+from hilbench.topology.web_line_config import CompensationConfig, ProbingConfig, TensionControlConfig, loops_of
 from hilbench.topology.web_line_shape import sensors_at_start
 from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
@@ -85,6 +86,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     axes: list[LeadingAxis | FollowingAxis | TensionTask | PositionTask] = [leading]
     trusts: list[VirtualSensorSupervision] = []
     forces: list[CarriageForceTask] = []
+    compensating: list[CompensationTask] = []
     for axis in range(leads - 1, 0, -1):
         if axis in torqued:
             continue
@@ -106,6 +108,9 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
             ahead = FeedForward(*neighbour_strains(config, axis), plan)
         loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
         axes.append(loops[axis])
+        for each in loops_of(CompensationConfig, config.controllers.values()):
+            if each.effects:
+                compensating.append(CompensationTask(config, each, reports, loops[axis]))
     of_spans = {loop.span: loop for loop in loops.values()}
     watched = watched_loops(model, list(loops.values()), trusts, config.twin)
     watch = [TensionWatch(watched, model, config.twin, state.twin, cycle_s)] if watched else []
@@ -127,7 +132,8 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
             *probing,
         ),
         control=(
-            *(boundary, *probing, *([plan] if plan else []), *axes, *reels, *_reel_speeds(config, leading), *forces),
+            *(boundary, *probing, *([plan] if plan else []), *axes, *compensating),
+            *(*reels, *_reel_speeds(config, leading), *forces),
             *(load, *([LoadCells(model, config.shape)] if config.shape.cells else []), *watch),
         ),
         watches=(

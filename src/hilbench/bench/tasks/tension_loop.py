@@ -289,6 +289,22 @@ class TensionLoop:
         stiffness_N = self.point.estimates_Pa[span - 2] * self.config.web_line.section_m2(span - 1)
         return self.point.line_speed_m_s / stiffness_N * self._unit(f"web{span - 1}_sim")
 
+    def responses(self, span: int, omega: float) -> NDArray[np.complex128]:
+        """Tension of the emulated span at a frequency, N, as its encoders show it: per m/s added to the command of the
+        axis before it, per N at that axis and at the one after it, per N of a tension that the encoders do not show,
+        and per N of it that the twin knows."""
+        model, cycle_s = self.config.web_line, self.config.cycle_time_s
+        pushed = [self._unit(f"v{axis}") * (cycle_s / model.mass_kg(axis)) for axis in (span, span + 1)]
+        pulled = np.zeros(len(self._places), complex)
+        for axis, sign in ((span, 1.0), (span + 1, -1.0)):
+            if axis in self.config.loaded_axes and model.carries_web_load(axis):
+                pulled += sign * np.exp(1j * omega * lead_s(model, cycle_s)) * self._unit(f"load{axis}_next")
+        known, z = self._unit(f"web{span}_sim"), np.exp(1j * omega * cycle_s)
+        entries = self._cycle @ np.transpose([self._unit(f"u{span}_next"), *pushed, pulled, known])
+        entries[:, -1] += (z - exp(-self.point.line_speed_m_s * cycle_s / model.span_length_m(span))) * known
+        states = np.linalg.solve(z * np.eye(len(entries)) - self._cycle @ self._sync(), entries)
+        return np.asarray(self._sync()[self._places[f"web{span}"]] @ states)
+
     def _return_ratio(self, command: str, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
         """L(jω) of the loop opened at a command; 1 + L = 0 is the border of stability."""
         opened, row = self._cycle @ self._sync(opened=command), self._sync()[self._places[command]]

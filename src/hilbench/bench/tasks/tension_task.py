@@ -113,7 +113,7 @@ class TensionTask(StagedTask):
     ) -> None:
         self._trajectories = trajectories
         self.names = names  #: names of drive, path and signals
-        self._leader = leader
+        self.leader = leader
         self._controller, self._damping, self._trust, self._twin = controller, damping, trust, twin
         self._reports = reports
         self._ahead = feed_forward
@@ -148,7 +148,7 @@ class TensionTask(StagedTask):
             positions_m=damping.positions_m,
             loop=self.loop,
             speeds=self.speeds,
-            leader=self._leader.speeds,
+            leader=self.leader.speeds,
             values=sample.reals,
             words=sample.wholes,
             at=np.array([of_record(cycle.AT, **places)], cycle.AT),
