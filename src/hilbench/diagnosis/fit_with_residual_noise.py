@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit, fit
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
-from hilbench.diagnosis.noise import Whitening, scaling
+from hilbench.diagnosis.noise import Whitening, rms, scaling
 from hilbench.diagnosis.residual_analysis import Misfit
 from hilbench.diagnosis.residual_noise import (
     Uncertainty,
@@ -33,7 +33,9 @@ Array = NDArray[np.float64]
 #: Share of what is left from which a change with time explains too much of it for the effects to be all.
 _MOSTLY: Final = 1.0 / 3.0
 #: Rows of a while, and the share of what is left that a tenth of all whiles has where it comes in bursts.
-_WHILE, _FEW, _BURSTS = 8, 10, 0.6
+_WHILE, _FEW, _BURSTS = 8, 10, 0.7
+#: Share of the torque's rms from which what is left matters.
+_MATTERS: Final = 0.01
 
 
 def fitted(space: Space, terms: list[Term]) -> Fit:
@@ -90,6 +92,8 @@ def lasting_change(space: Space, selection: Selection) -> Misfit | None:
     """What is left where much of it would be explained by friction and offset that change with time, as those of an
     axis that warms up do, or comes in bursts, as from a gear's play that is crossed; no effect does either."""
     rows, found, offered = space.predictor.rows, selection.fit, selection.candidates
+    if rms(found.residual[..., rows]) < _MATTERS * rms(space.predictor.measured[..., rows]):
+        return None
     own = space.point(found.terms, found.residual).derivatives[..., rows]
     mine = [own[part] for term, part in zip(found.terms, parts(found.terms), strict=True) if not term.effect.removable]
     each = zip(offered.candidates, offered.responses, strict=True)
