@@ -51,8 +51,10 @@ _WIDER: Final = (1.5, 2.5)
 _OTHER_LENGTHS, _UNSEEN_LENGTHS = (0.25, 0.5, 2.0, 4.0), (0.1, 0.25, 0.5, 1.0)
 #: Share of the displacement by which friction that turns over as bristles do is another than one that is a spring.
 _TURNS_OTHERWISE: Final = 0.5
+#: How much longer than the shortest that is looked for one may be that is not found.
+_UNSEEN: Final = 3.0
 #: Harmonics of one steady sine of which what is left says how much may be left of the first.
-_HARMONICS: Final = 8.5
+_HARMONICS: Final = 6.5
 #: Share of the inertia to which a right model may have it, one standard deviation.
 _INERTIA_KNOWN: Final = 0.02
 #: Corner as a share of the Nyquist frequency, and rows per period of it.
@@ -462,7 +464,7 @@ class OnMeasuredMotion:
     def doubt_of_turning(self, parameters: Array) -> Array:
         """(1, 1, n): of these, friction with a presliding displacement too short to be seen, or at its upper bound."""
         if self.presliding is None:
-            presliding_travel = self._shortest
+            presliding_travel = _UNSEEN * self._shortest
         else:
             known = self.presliding
             off = max((known.ci95[1] - known.presliding_travel) / NORMAL_95, _TURNS_OTHERWISE * known.presliding_travel)
