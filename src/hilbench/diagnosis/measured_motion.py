@@ -54,7 +54,7 @@ _TURNS_OTHERWISE: Final = 0.5
 #: How much longer than the shortest that is looked for one may be that is not found.
 _UNSEEN: Final = 3.0
 #: Harmonics of one steady sine of which what is left says how much may be left of the first.
-_HARMONICS: Final = 6.5
+_HARMONICS: Final = 5.5
 #: Share of the inertia to which a right model may have it, one standard deviation.
 _INERTIA_KNOWN: Final = 0.02
 #: Corner as a share of the Nyquist frequency, and rows per period of it.
