@@ -310,7 +310,8 @@ def test_what_a_small_swing_about_a_steady_speed_needs_is_no_ripple() -> None:
 
 def test_friction_that_grows_with_the_square_is_not_named_where_none_that_grows_with_the_speed_could_be() -> None:
     (recording,) = Rig(swing=(3.0, 2.0), about_rad_s=25.0).recordings(1, seed=1)
-    assert names(diagnose(recording, axis_model(1.6e-4), "blind")) <= {"coulomb_friction", "inertia_mismatch"}
+    found = names(diagnose(recording, axis_model(1.6e-4), "blind"))
+    assert found <= {"coulomb_friction", "inertia_mismatch", "torque_ripple"}  # the rig has one of order 5
 
 
 @pytest.mark.parametrize(("swing_Hz", "swing_rad_s"), [(7.0, 10.0), *slow((7.0, 15.0), (10.0, 8.0))])

@@ -16,7 +16,7 @@ from hilbench.diagnosis.alternatives import FreeRules
 from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, unidentifiable_beside
 from hilbench.diagnosis.data_cleaning import Repair
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_interval_s
-from hilbench.diagnosis.fit_with_residual_noise import stated_uncertainty, weights
+from hilbench.diagnosis.fit_with_residual_noise import lasting_change, stated_uncertainty, weights
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
@@ -32,7 +32,7 @@ from hilbench.diagnosis.residual_analysis import (
     located,
     misfits,
 )
-from hilbench.diagnosis.resonance import first_unseen, unidentifiable_modes, with_torsional_mode
+from hilbench.diagnosis.resonance import first_unseen, settled_beside, unidentifiable_modes
 from hilbench.diagnosis.search import Announce, search
 from hilbench.diagnosis.select_measured import MeasuredRules
 from hilbench.diagnosis.selection import Selection
@@ -255,16 +255,17 @@ def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce
     proposer = proposer_for(predictor, model, data)
     if predictor.exact:
         return Explained(space, chosen, data, search(FreeRules(space, proposer), announce))
-    as_simple = simple_beside(predictor)
-    selection = search(MeasuredRules(space, proposer, as_simple), announce)
-    if (settled := with_torsional_mode(space, selection.fit.terms)) is not None:
-        chosen, space = replace(chosen, predictor=settled), Space(model, settled, data.period_s)
-        selection = search(MeasuredRules(space, proposer, as_simple), announce)
+    rules = MeasuredRules(space, proposer, simple_beside(predictor))
+    selection = search(rules, announce)
+    if (settled := settled_beside(rules.space, selection.fit)) is not None:
+        rules = MeasuredRules(Space(model, settled, data.period_s), proposer, simple_beside(predictor))
+        selection = search(rules, announce)
     # Found given the others a mode is as little identified: once more without.
-    if few := unidentifiable_modes(space, selection.fit):
+    if few := unidentifiable_modes(rules.space, selection.fit):
         proposer = proposer_for(predictor, model, data, {term.effect.id for term in few})
-        selection = replace(search(MeasuredRules(space, proposer, as_simple), announce), of_too_few=few)
-    return Explained(space, chosen, data, selection)
+        rules = MeasuredRules(rules.space, proposer, simple_beside(predictor))
+        selection = replace(search(rules, announce), of_too_few=few)
+    return Explained(rules.space, replace(chosen, predictor=rules.space.predictor), data, selection)
 
 
 @dataclass(frozen=True)
@@ -302,6 +303,8 @@ class _Verdict:
             unknown = any(
                 rms(rest[k, at]) > LARGEST_REST * rms(predictor.measured[k, rows]) for rest, at in left for k in torques
             )
+            if not unknown and (changes := lasting_change(space, selection)) is not None:
+                unknown, unexplained = True, [changes, *unexplained]
         better, too_few = selection.better, selection.of_too_few
         unexplained += [Misfit(names[torques[0]], *_swing(term), 0.0, 0.0, "always") for term in too_few]
         unknown |= selection.exhausted or better is not None or bool(too_few)

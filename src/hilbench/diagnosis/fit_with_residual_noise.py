@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit, fit
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
-from hilbench.diagnosis.noise import Whitening, scaling
+from hilbench.diagnosis.noise import Whitening, rms, scaling
+from hilbench.diagnosis.residual_analysis import Misfit
 from hilbench.diagnosis.residual_noise import (
     Uncertainty,
     by_waves,
@@ -17,13 +19,23 @@ from hilbench.diagnosis.residual_noise import (
     with_doubts,
     with_guess,
     with_noisy_columns,
+    with_shapes,
 )
+from hilbench.diagnosis.selection import Selection
 from hilbench.diagnosis.space import Space
-from hilbench.diagnosis.terms import Term
+from hilbench.diagnosis.stretched_problem import StretchedProblem
+from hilbench.diagnosis.terms import Term, parts
 from hilbench.plant.effect import Domain
 from hilbench.plant.effects import find_effect
 
 Array = NDArray[np.float64]
+
+#: Share of what is left from which a change with time explains too much of it for the effects to be all.
+_MOSTLY: Final = 1.0 / 3.0
+#: Rows of a while, and the share of what is left that a tenth of all whiles has where it comes in bursts.
+_WHILE, _FEW, _BURSTS = 8, 10, 0.7
+#: Share of the torque's rms from which what is left matters.
+_MATTERS: Final = 0.01
 
 
 def fitted(space: Space, terms: list[Term]) -> Fit:
@@ -62,16 +74,45 @@ def stated_uncertainty(space: Space, found: Fit) -> Uncertainty:
     if predictor.sine_Hz is not None and not any(term.is_torsional for term in found.terms):
         return _on_one_sine(space, found, predictor, predictor.repeating(predictor.sine_Hz))
     rows = predictor.rows
-    if predictor.arm is None and not any(map(_identifies_inertia, found.terms)):
-        derivatives = space.point(found.terms, found.residual).derivatives[..., rows]
-        known = with_guess(known, derivatives, found.residual[..., rows], predictor.of_inertia[..., rows])
     if predictor.arm is None:
+        derivatives = space.point(found.terms, found.residual).derivatives[..., rows]
+        left, doubts = found.residual[..., rows], predictor.doubts(space.packed(found.terms))[..., rows]
+        known = with_shapes(known, derivatives, left, doubts[1:])  # an inertia is judged below
+        if not any(map(_identifies_inertia, found.terms)):
+            known = with_guess(known, derivatives, left, predictor.of_inertia[..., rows])
         return known
     alone = replace(space, predictor=predictor.uncoupled)
     beside = alone.point(found.terms, alone.residual(found.terms)).derivatives[:, 0]
     noisy, explained = predictor.by_accelerations(space.packed(found.terms))
     wide = np.concatenate([predictor.couplings, beside])[:, rows]
     return with_noisy_columns(known, wide, found.residual[0, rows], noisy[..., rows], explained[:, rows])
+
+
+def lasting_change(space: Space, selection: Selection) -> Misfit | None:
+    """What is left where much of it would be explained by friction and offset that change with time, as those of an
+    axis that warms up do, or comes in bursts, as from a gear's play that is crossed; no effect does either."""
+    rows, found, offered = space.predictor.rows, selection.fit, selection.candidates
+    if rms(found.residual[..., rows]) < _MATTERS * rms(space.predictor.measured[..., rows]):
+        return None
+    own = space.point(found.terms, found.residual).derivatives[..., rows]
+    mine = [own[part] for term, part in zip(found.terms, parts(found.terms), strict=True) if not term.effect.removable]
+    each = zip(offered.candidates, offered.responses, strict=True)
+    simple = np.concatenate([own[:0], *mine, *(r[..., rows] for term, r in each if not term.effect.removable)])
+    problem = StretchedProblem.of(
+        found.residual[..., rows], np.concatenate([own, simple, simple * np.linspace(-1.0, 1.0, simple.shape[-1])])
+    )
+    count = len(problem.raw)
+    steady, changing = problem.left(list(range(count - len(simple))))[0], problem.left(list(range(count)))[0]
+    share = 1.0 - changing / max(steady, 1e-300)
+    name = space.predictor.names[0]
+    if share > _MOSTLY:
+        return Misfit(name, "time", "friction or offset change with it", share, _MOSTLY, "always")
+    left = found.residual[0, rows]
+    squares = np.sort([float(np.mean(part**2)) for part in np.array_split(left, max(len(left) // _WHILE, 1))])[::-1]
+    few = float(np.sum(squares[: len(squares) // _FEW])) / max(float(np.sum(squares)), 1e-300)
+    if few > _BURSTS:
+        return Misfit(name, "burst in time", "what is left comes in bursts", few, _BURSTS, "always")
+    return None
 
 
 def _identifies_inertia(term: Term) -> bool:

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import binary_dilation
 from scipy.signal import butter, sosfiltfilt
 
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.coupling import Arm, Motion, by_accelerations, columns, explains, left_unseen, likelier
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
-from hilbench.diagnosis.noise import NORMAL_95, floor
-from hilbench.diagnosis.presliding import Presliding, presliding, unseen
+from hilbench.diagnosis.noise import NORMAL_95, floor, rms
+from hilbench.diagnosis.presliding import Presliding, presliding, shortest
 from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.diagnosis.smooth_motion import smoothed
 from hilbench.diagnosis.steady_sine import evenly_with, frequency_of_sine, harmonics
@@ -34,6 +35,8 @@ _NOISE_SHARE: Final = 1e-3
 #: resonance to be looked for there, and the ratio of one that is tried to the next. Noise that the torque has no part
 #: of is as if an inertia were lacking at these frequencies, which is what a shaft that twists makes.
 _KNOWN_SHARE, _NEXT = 0.1, 1.15
+#: Share of a torque's rms to which a right model has it, as white noise.
+_KNOWN_TORQUE: Final = 0.01
 #: Corners of the filter, Hz: highest, lowest, and the ratio of one that is tried to the next.
 _HIGHEST_HZ, _LOWEST_HZ, _FINER = 60.0, 5.0, 0.9
 #: How far the filter smears what happens at standstill, in periods of its corner; time, in the same, within which an
@@ -46,10 +49,19 @@ _WIDER: Final = (1.5, 2.5)
 #: Displacements over which friction may turn as well on one steady sine, as shares of the one that is known; and as
 #: shares of the least one that is looked for, where none was found.
 _OTHER_LENGTHS, _UNSEEN_LENGTHS = (0.25, 0.5, 2.0, 4.0), (0.1, 0.25, 0.5, 1.0)
+#: Share of the displacement by which friction that turns over as bristles do is another than one that is a spring.
+_TURNS_OTHERWISE: Final = 0.5
+#: How much longer than the shortest that is looked for one may be that is not found.
+_UNSEEN: Final = 3.0
+#: Harmonics of one steady sine of which what is left says how much may be left of the first.
+_HARMONICS: Final = 5.5
 #: Share of the inertia to which a right model may have it, one standard deviation.
 _INERTIA_KNOWN: Final = 0.02
 #: Corner as a share of the Nyquist frequency, and rows per period of it.
 _OF_NYQUIST, _ROWS_PER_PERIOD = 0.8, 4.0
+#: Least rows per period of it of the grid on which torques are worked out: friction that reverses between two rows must
+#: not fold back into the band. Order of the filter, and periods of its corner by which values go on beyond their ends.
+_FINE, _ORDER, _BEYOND = 16.0, 4, 3.0
 #: Rows that a step between two held values takes at most where rows were put onto another grid, and how many such steps
 #: say what a count is.
 _ROWS_OF_A_COUNT, _COUNTS = 2, 20
@@ -66,6 +78,10 @@ class MotionFilter:
 
     corner_hz: float
     period_s: float
+    #: Above it the gain falls as the noise of the acceleration rises, with this power of the frequency, so that it is
+    #: as loud everywhere: what is noise at a frequency counts for little there.
+    flat_to_Hz: float = float("inf")
+    power: int = 2
 
     def smooth(self, values: Array) -> Array:
         """Values (…, n), filtered forward and backward."""
@@ -73,12 +89,47 @@ class MotionFilter:
 
     @cached_property
     def _sections(self) -> Array:
-        return np.asarray(butter(4, self.corner_hz * 2.0 * self.period_s, output="sos"))
+        return np.asarray(butter(_ORDER, self.corner_hz * 2.0 * self.period_s, output="sos"))
+
+    @property
+    def every(self) -> int:
+        """Rows per row that is compared."""
+        return max(1, round(1.0 / (_ROWS_PER_PERIOD * self.corner_hz) / self.period_s))
+
+    @property
+    def whole(self) -> int:
+        """How many times finer than the rows the grid is on which torques are worked out."""
+        return max(1, round(_FINE * self.corner_hz * self.period_s))
+
+    def compared(self, values: Array, whole: int = 1) -> Array:
+        """Values (…, (n - 1)·whole + 1) on a grid `whole` times finer than the rows, filtered, every so many rows of
+        them. Of a band-limited signal it is the same from every grid."""
+        step = self.every * whole
+        count = -(-values.shape[-1] // step)
+        beyond = int(np.ceil(_BEYOND / (self.corner_hz * self.period_s * self.every)))
+        beyond = min(beyond, (values.shape[-1] - 1) // step)
+        length = next_fast_len(count + 2 * beyond, real=True)
+        ends = [(0, 0)] * (values.ndim - 1)
+        padded = np.pad(values, [*ends, (beyond * step, beyond * step)], mode="reflect")
+        padded = np.pad(padded, [*ends, (0, max(length * step - padded.shape[-1], 0))], mode="edge")
+        spectrum = rfft(padded[..., : length * step])[..., : length // 2 + 1] / step
+        frequency_Hz = np.arange(length // 2 + 1) / (length * self.every * self.period_s)
+        spectrum *= self._gain(frequency_Hz)
+        return np.asarray(irfft(spectrum, length)[..., beyond : beyond + count])
+
+    def _gain(self, frequency_Hz: Array) -> Array:
+        low_pass = 1.0 / (1.0 + (frequency_Hz / self.corner_hz) ** (2 * _ORDER))
+        return np.asarray(low_pass / np.sqrt(1.0 + (frequency_Hz / self.flat_to_Hz) ** (2 * self.power)))
+
+    @property
+    def noise_gain(self) -> float:
+        """Share of the standard deviation of white noise that passes."""
+        return float(np.sqrt(np.mean(self._gain(np.linspace(0.0, 0.5 / self.period_s, 500)) ** 2)))
 
     def driving(self, position: Array) -> Motion:
-        """The motion of a position (n,) from which what passes this filter is predicted."""
+        """The motion of a position (n,), on the finer grid, from which what passes this filter is predicted."""
         band_Hz = (_WIDER[0] * self.corner_hz, _WIDER[1] * self.corner_hz)
-        return Motion(*smoothed(position, self.period_s, 1, band_Hz, 2))
+        return Motion(*smoothed(position, self.period_s, self.whole, band_Hz, 2))
 
     def acceleration(self, position: Array) -> Array:
         """Second derivative of a position (n,), per s²."""
@@ -162,8 +213,8 @@ class OnMeasuredMotion:
         arm: Arm | None = None,
         corner_hz: float | None = None,
     ) -> None:
-        """`wider`: one of which it is known how friction turns over, and of which this has half the corner unless
-        `corner_hz` says another; without both as wide as the position's noise allows.
+        """`wider`: one of which it is known how friction turns over; `corner_hz`: by default as high as the position's
+        noise allows.
 
         arm: how the axis is coupled with the other one that the recording has; None: it is not.
         """
@@ -172,21 +223,21 @@ class OnMeasuredMotion:
         self.names = ("tau1_Nm",)
         self.emulation = None
         self._period_s = data.period_s
-        if wider is not None and corner_hz is None:
-            corner_hz = 0.5 * wider.corner_hz
-        self._filter = _filter_for(data) if corner_hz is None else MotionFilter(corner_hz, data.period_s)
+        band: MotionFilter = _filter_for(data) if wider is None else wider._filter
+        if corner_hz is not None:
+            band = replace(band, corner_hz=corner_hz)
+        self._filter: MotionFilter = _weighed(band, data, machines.Nm_per_acceleration(model, 1))
         self._x = self._filter.smooth(data.x_m[1])
         self._v = np.gradient(self._x, data.period_s)
         self._a = np.gradient(self._v, data.period_s)
-        self._filtered_once: bool = arm is not None or (wider is not None and wider._filtered_once)
-        self._driving = self._driving_motion()
+        self.every, self._whole = self._filter.every, self._filter.whole
+        # With all that the filter takes, so that what is predicted passes one filter, as what is measured does.
+        self._driving = self._filter.driving(data.x_m[1])
+        self._shortest = shortest(self._driving, self.corner_hz)
         self.exact = False
         self.tolerances = np.zeros(1)
-        self.every = max(1, round(1.0 / (_ROWS_PER_PERIOD * self.corner_hz) / data.period_s))
-        torque = self._filter.smooth(data.tau_Nm[1])
-        self.measured = torque[None, :: self.every]
-        self._noise_Nm = floor(data.tau_Nm[1]) * float(np.sqrt(2.0 * self.corner_hz * data.period_s))
-        self._torque = torque
+        self.measured = self._filter.compared(data.tau_Nm[1])[None]
+        self._noise_Nm = floor(data.tau_Nm[1]) * self._filter.noise_gain
         self._memory_s: float = 0.0 if wider is None else wider._memory_s
         self._upright = self._driving.angle
         self._coupled = self._couplings()
@@ -207,68 +258,58 @@ class OnMeasuredMotion:
         return known_to_Hz(self._data.x_m[1], self._period_s, 2)
 
     @property
+    def turns(self) -> float:
+        """Turns of the motor between the ends of the motion."""
+        return float(np.ptp(self._x)) * self._model.motor_rad_per_unit(1) / (2.0 * np.pi)
+
+    def below(self, corner_hz: float) -> OnMeasuredMotion:
+        """Prediction with a lower corner."""
+        return OnMeasuredMotion(self._model, self._data, self, self.arm, corner_hz)
+
+    @property
     def narrower(self) -> OnMeasuredMotion | None:
         """Prediction with half the corner; None with a coupled axis where that is lower than any that is tried."""
         if self.arm is not None and 0.5 * self.corner_hz < _LOWEST_COUPLED_HZ:
             return None
-        return OnMeasuredMotion(self._model, self._data, self, self.arm)
+        return self.below(0.5 * self.corner_hz)
 
-    def with_torsional_mode(self, torsional: Array, memory_s: float) -> OnMeasuredMotion:
+    def settled_beside(self, torques: Array, memory_s: float) -> OnMeasuredMotion:
         """Copy whose rows count once the oscillation of before the recording is forgotten, and whose displacement over
-        which friction turns over is looked for again beside the torsional mode.
-
-        torsional (1 + J, P): parameters without it, and each with some of it, of which any multiple may be there.
-        """
+        which friction turns over is looked for again beside torques (J, n of the prediction), of which any multiple
+        may be there."""
         result = copy(self)
         result._memory_s = memory_s
-        without, *torques = self._required(torsional)
-        result.presliding = result._presliding(np.array(torques) - without)
+        result.presliding = result._presliding(torques)
         result.rows = result._rows()
         return result
 
-    def filtered_once(self) -> OnMeasuredMotion:
-        """Prediction with the torque of what is near the filter's corner as it would be measured."""
-        result = copy(self)
-        result._filtered_once = True
-        result._driving = result._driving_motion()
-        return result
-
-    def _driving_motion(self) -> Motion:
-        """Motion from which the torque is predicted.
-
-        With a coupled axis, whose torques nearly cancel the joint's own, it has all that the filter takes, so that its
-        torque passes one filter as the measured torque does. Elsewhere it is the filtered motion, in which what is near
-        the corner hardly shows: else a loop's answer to a ripple there is taken for a torque that is late.
-        """
-        if self._filtered_once:
-            return self._filter.driving(self._data.x_m[1])
-        return Motion(self._x, self._v, self._a)
+    def _compared(self, fine: Array) -> Array:
+        """Values (…, fine) as they are compared (…, n of the prediction)."""
+        return self._filter.compared(fine, self._whole)
 
     def _presliding(self, beside: Array | None = None) -> Presliding | None:
-        """Presliding at reversals, however long they take; fitted with other torques `beside` (J, n)."""
-        rows = self._moving(len(self._x) * self._period_s * self.corner_hz)
-        motion = (self._x, self._v, self._a)
-        coupled = list(self._coupled.values())
-        others = [*coupled, *([] if beside is None else beside)]
+        """Presliding at reversals; fitted with other torques `beside` (J, n)."""
+        rows = self._moving(_TURNS_OVER)[:: self.every]
+        others = [*self._coupled.values(), *([] if beside is None else beside)]
         return presliding(
-            motion,
-            self._torque,
-            self._filter.smooth,
+            self._driving,
+            self.measured[0],
+            self._compared,
             rows,
-            self.every,
-            np.array(others) if others else None,
+            self._shortest,
+            others,
             may_play=any(effect.id == "backlash" for effect in machines.vocabulary(self._model)),
         )
 
     def _couplings(self) -> dict[str, Array]:
-        """Coupling torques (n,) by name, of which any multiple may be there."""
+        """Coupling torques (n of the prediction,) by name, of which any multiple may be there."""
         joints = self._joints()
         if joints is None or self.arm is None:
             return {}
         own, other = joints
         if self.arm is Arm.CARRIED:
             self._upright = self._driving.angle + self._model.gear_ratio(1) * other.angle
-        return {name: self._filter.smooth(column) for name, column in columns(self.arm, own, other).items()}
+        return {name: self._compared(column) for name, column in columns(self.arm, own, other).items()}
 
     def _joints(self) -> tuple[Motion, Motion] | None:
         """Motion of this joint and of the other one in the recording; None without another."""
@@ -284,7 +325,7 @@ class OnMeasuredMotion:
         joints = self._joints()
         if joints is None or self.arm is None:
             return np.empty((0, 0, len(self.rows))), np.empty((0, len(self.rows)))
-        per_unit = by_accelerations(self.arm, *joints)[..., :: self.every]
+        per_unit = by_accelerations(self.arm, *joints)[..., :: self.every * self._whole]
         torque = np.einsum("j,kjn->kn", list(self.coupled_by(parameters).values()), per_unit)
         torque[0] += self._model.gear_ratio(1) * machines.Nm_per_acceleration(self._model, 1)
         return per_unit, torque
@@ -295,8 +336,8 @@ class OnMeasuredMotion:
         angle, speed = self._upright / self._model.gear_ratio(1), self._driving.speed
         turns = np.tanh(speed / self._slow)
         simple = np.array([self._driving.acceleration, speed, turns, np.sin(angle), np.cos(angle), np.ones(len(angle))])
-        explaining = np.array([*self._filter.smooth(simple), *self._coupled.values()])
-        return left_unseen(self.measured[0, self.rows], explaining[:, :: self.every][:, self.rows])
+        explaining = np.array([*self._compared(simple), *self._coupled.values()])
+        return left_unseen(self.measured[0, self.rows], explaining[:, self.rows])
 
     @property
     def _slow(self) -> float:
@@ -352,7 +393,7 @@ class OnMeasuredMotion:
     def predict(self, parameters: Array) -> Array:
         """(B, P) to (B, 1, n): torque by the laws, filtered as the measurement is, and what the couplings explain of
         what these leave."""
-        required = self._required(parameters)[:, None, :: self.every]
+        required = self._required(parameters)[:, None]
         if not self._coupled:
             return required
         return self.measured - self._beside(self.measured - required)
@@ -368,11 +409,11 @@ class OnMeasuredMotion:
     @property
     def couplings(self) -> Array:
         """(J, n of the prediction): torque per unit of each coupling with the other axis."""
-        return np.array(list(self._coupled.values()))[:, :: self.every]
+        return np.array(list(self._coupled.values()))
 
     def coupled_by(self, parameters: Array) -> dict[str, float]:
         """Least-squares amount of each coupling in what the laws leave with these parameters (P,)."""
-        left = self.measured[0] - self._required(parameters)[0, :: self.every]
+        left = self.measured[0] - self._required(parameters)[0]
         return dict(zip(self._coupled, self._coupled_in(left).tolist(), strict=True))
 
     @cached_property
@@ -381,20 +422,21 @@ class OnMeasuredMotion:
         return None if self.arm is not None else frequency_of_sine(self._v[:: self.every], self.every * self._period_s)
 
     def repeating(self, frequency_Hz: float) -> Array:
-        """(waves, n): all of a torque that repeats itself so often, up to the filter's corner."""
-        return harmonics(frequency_Hz, self.corner_hz, self._t_s[:: self.every])
+        """(waves, n): all of a torque that repeats itself so often, up to the filter's corner, or to a harmonic beyond
+        which what is left is no measure of what is left of the first."""
+        return harmonics(frequency_Hz, min(self.corner_hz, _HARMONICS * frequency_Hz), self._t_s[:: self.every])
 
     def alike_on_one_sine(self, parameters: Array) -> Array:
         """(shapes, 1, n): what on one steady sine a torque may be in the place of a law beside friction and inertia:
         what goes with the position, and friction that turns over another displacement, with these parameters (P,)."""
-        known, shortest = self.presliding, unseen(float(np.ptp(self._x))).presliding_travel
+        known, shortest = self.presliding, self._shortest
         lengths = (
             [share * known.presliding_travel for share in _OTHER_LENGTHS]
             if known
             else [share * shortest for share in _UNSEEN_LENGTHS]
         )
         turning_Nm = [self._turning_over(presliding_travel, parameters) for presliding_travel in lengths]
-        return np.concatenate([self._filter.smooth(evenly_with(self._x)), turning_Nm])[:, None, :: self.every]
+        return np.concatenate([self._compared(evenly_with(self._driving.angle)), turning_Nm])[:, None]
 
     @property
     def uncoupled(self) -> OnMeasuredMotion:
@@ -406,30 +448,28 @@ class OnMeasuredMotion:
     def doubts(self, parameters: Array) -> Array:
         """(shapes, 1, n): errors of a right prediction in addition to noise, each to one standard deviation.
 
-        A rigid inertia that the model has not, a torque that is read some time within a row, what the filter takes
-        twice of a motion near its corner, and how friction turns over.
+        A rigid inertia that the model has not, a torque that is read some time within a row, and how friction turns
+        over.
         """
-        here = self._required(parameters)[0]
-        shapes = np.array([0.5 * np.gradient(here), here - self._filter.smooth(here)])
-        others = self._beside(shapes[:, None, :: self.every])
+        late = 0.5 * np.gradient(self._required(parameters)[0]) / self.every
+        others = self._beside(late[None, None])
         return np.concatenate([_INERTIA_KNOWN * self.of_inertia, others, self.doubt_of_turning(parameters)])
 
     @property
     def of_inertia(self) -> Array:
         """(1, 1, n): the torque of the model's whole inertia, which may be a guess."""
-        inertia_Nm = machines.Nm_per_acceleration(self._model, 1) * self._filter.smooth(self._a)
-        return self._beside(inertia_Nm[None, None, :: self.every])
+        inertia_Nm = machines.Nm_per_acceleration(self._model, 1) * self._compared(self._driving.acceleration)
+        return self._beside(inertia_Nm[None, None])
 
     def doubt_of_turning(self, parameters: Array) -> Array:
         """(1, 1, n): of these, friction with a presliding displacement too short to be seen, or at its upper bound."""
         if self.presliding is None:
-            presliding_travel = unseen(float(np.ptp(self._x))).presliding_travel
+            presliding_travel = _UNSEEN * self._shortest
         else:
-            presliding_travel = (
-                self.presliding.presliding_travel
-                + (self.presliding.ci95[1] - self.presliding.presliding_travel) / NORMAL_95
-            )
-        return self._beside(self._turning_over(presliding_travel, parameters)[None, None, :: self.every])
+            known = self.presliding
+            off = max((known.ci95[1] - known.presliding_travel) / NORMAL_95, _TURNS_OTHERWISE * known.presliding_travel)
+            presliding_travel = known.presliding_travel + off
+        return self._beside(self._turning_over(presliding_travel, parameters)[None, None])
 
     def _turning_over(self, presliding_travel: float, parameters: Array) -> Array:
         """(n,): change of the torque with these parameters (P,) where friction turns over this displacement."""
@@ -438,26 +478,26 @@ class OnMeasuredMotion:
         return np.asarray(other._required(parameters)[0] - self._required(parameters)[0])
 
     def _required(self, parameters: Array) -> Array:
-        """(B, P) to (B, n): the same at every row of the recording."""
+        """(B, P) to (B, n of the prediction)."""
         many = np.atleast_2d(parameters)
-        torque = np.empty((len(many), len(self._x)))
+        torque = np.empty((len(many), len(self._driving.angle)))
         for vector, out in zip(many, torque, strict=True):
             self._write_required(vector, self._driving.angle, out)
             if self.arm is Arm.CARRIED:
                 out += self._gravity_moved(vector)
-        return self._filter.smooth(torque)
+        return self._compared(torque)
 
     def _write_required(self, vector: Array, x: Array, out: Array) -> None:
         presliding_travel = self.presliding.presliding_travel if self.presliding is not None else 0.0
         driving = self._driving
         machines.of_kind(self._model).required_torque_Nm(
-            vector, x, driving.speed, driving.acceleration, self._period_s, out, presliding_travel
+            vector, x, driving.speed, driving.acceleration, self._period_s / self._whole, out, presliding_travel
         )
 
     def _gravity_moved(self, vector: Array) -> Array:
         """(n,): by how much the torque of what is unbalanced is another because it goes with the angle of both axes."""
         balanced = machines.without_unbalance(vector)
-        moved = np.zeros(len(self._x))
+        moved = np.zeros(len(self._driving.angle))
         if np.array_equal(balanced, vector):
             return moved
         for x, sign in ((self._upright, 1.0), (self._driving.angle, -1.0)):
@@ -478,7 +518,7 @@ def coupled_motion(model: Machine, data: Measured) -> OnMeasuredMotion | None:
     """
     if data.other_rad is None:
         return None
-    wide = OnMeasuredMotion(model, data).filtered_once()
+    wide = OnMeasuredMotion(model, data)
     corners = [wide.corner_hz]
     while corners[-1] * _NEXT_COUPLED >= _LOWEST_COUPLED_HZ:
         corners.append(corners[-1] * _NEXT_COUPLED)
@@ -495,6 +535,18 @@ def coupled_motion(model: Machine, data: Measured) -> OnMeasuredMotion | None:
 def is_coupled(predictor: object) -> bool:
     """True if a prediction has a coupled axis."""
     return isinstance(predictor, OnMeasuredMotion) and predictor.arm is not None
+
+
+def _weighed(band: MotionFilter, data: Measured, inertia: float) -> MotionFilter:
+    """Filter in which the noise of the acceleration's torque is nowhere louder than what is known of the torque.
+
+    inertia: torque per acceleration.
+    """
+    power = 1 if data.integrated else 2
+    noise = position_noise(data.v_m_s[1] if data.integrated else data.x_m[1])
+    known_Nm = float(np.hypot(floor(data.tau_Nm[1]), _KNOWN_TORQUE * rms(data.tau_Nm[1])))
+    flat_to_Hz = (known_Nm / max(inertia * noise, 1e-300)) ** (1.0 / power) / (2.0 * np.pi)
+    return replace(band, flat_to_Hz=flat_to_Hz, power=power)
 
 
 def _filter_for(data: Measured) -> MotionFilter:

@@ -24,7 +24,7 @@ from hilbench.diagnosis.residual_noise import Uncertainty
 from hilbench.diagnosis.selection import CandidateSet
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.stretched_problem import STRETCHES, basis, own_share
-from hilbench.diagnosis.terms import RANK, Term, parts
+from hilbench.diagnosis.terms import RANK, Term, parts, strength_parts
 from hilbench.plant.effect import Domain
 
 #: Share of the sum of squares that is left without a term by which the term has to lower it, half of it on stretches
@@ -101,6 +101,8 @@ def least_share(term: Term) -> float:
     return LEAST_SHARE if term.effect.removable else _LEAST_SIMPLE_SHARE
 
 
+#: Chance up to which a term that is neutral may be found all the same, over all places that it was searched for at.
+CHANCE: Final = 1e-3
 #: Standard deviations by which what a narrower band finds may differ.
 _APART: Final = 3.5
 #: Share of a strength by which two bands or stretches may differ however sure they are: a filter rounds what turns.
@@ -130,6 +132,30 @@ def in_every_band(space: Space, current: Fit) -> Fit:
             break
         current = min(others, key=lambda found: float(np.sum(found.residual[:, space.predictor.rows] ** 2)))
     return current
+
+
+def in_known_band(space: Space, current: Fit) -> Fit:
+    """The fit without the torsional modes and delays that the band in which the motion is known does not show: noise in
+    an acceleration makes an inertia too small, or its torque late, at the frequencies at which it is large."""
+    predictor = space.predictor
+    if not isinstance(predictor, OnMeasuredMotion) or predictor.known_to_Hz >= predictor.corner_hz:
+        return current
+    known: Space | None = None
+    while any(map(_shapes_a_band, current.terms)):
+        known = known or replace(space, predictor=predictor.below(predictor.known_to_Hz))
+        narrow = fitted(known, current.terms)
+        sure, each = uncertainty_of(known, narrow), zip(narrow.terms, strength_parts(narrow.terms), strict=True)
+        chances = [sure.chance(part, term.moved) if _shapes_a_band(term) else 0.0 for term, part in each]
+        worst = int(np.argmax(chances))
+        if chances[worst] <= CHANCE:
+            break
+        current = fitted(space, [*current.terms[:worst], *current.terms[worst + 1 :]])
+    return current
+
+
+def _shapes_a_band(term: Term) -> bool:
+    """True if it changes with the frequency what an inertia needs."""
+    return term.is_torsional or term.probe is not None
 
 
 def in_both_halves(space: Space, current: Fit) -> Fit:
@@ -199,10 +225,18 @@ def identifiable_on_one_sine(space: Space, terms: list[Term], offered: Candidate
     alike = np.concatenate([predictor.alike_on_one_sine(space.packed(terms)), offered.own, *laws])
     counted = alike[..., predictor.rows]
     known = basis(counted[np.any(counted, axis=(1, 2))].reshape(-1, counted.shape[1] * counted.shape[2]))
+    each = zip(offered.candidates, offered.responses, strict=True)
     return [
-        term.is_torsional or _is_law_of_motion(term) or own_share(response[..., predictor.rows], known) >= _OWN_SHARE
-        for term, response in zip(offered.candidates, offered.responses, strict=True)
+        term.is_torsional
+        or _is_law_of_motion(term)
+        or (own_share(response[..., predictor.rows], known) >= _OWN_SHARE and not _is_of_an_arc(term, predictor))
+        for term, response in each
     ]
+
+
+def _is_of_an_arc(term: Term, predictor: OnMeasuredMotion) -> bool:
+    """True of a wave over less than a turn: there it is any law of the position."""
+    return term.has_phase and predictor.turns < 1.0
 
 
 def _is_law_of_motion(term: Term) -> bool:

@@ -34,7 +34,7 @@ _SLOWEST, _MOVES = 0.1, 0.02
 _LEAST_ARC_RAD: Final = 1.0
 #: Turns of the motor from which an order is looked for (over less a ripple is any law of the position), and from which
 #: whole orders can be distinguished.
-_LEAST_TURNS, _RESOLVED = 1.0, 4.0
+_LEAST_TURNS, _RESOLVED = 0.5, 4.0
 #: Times of a step that are simulated at first, and the number of distinguishable ones among which it was chosen.
 _COARSE: Final = 24
 _TIMES: Final = 100.0
@@ -269,6 +269,19 @@ class Proposer:
             return probe.parameter, _TURN * self._data.t_s[::every]
         return None, np.empty(0)
 
+    def plainer(self, term: Term, present: list[Term]) -> list[Term]:
+        """In the place of a wave that grows with the torque those of its order that do not."""
+        probe = term.effect.probe
+        if not by_torque(term) or probe is None:
+            return []
+        found = []
+        for effect in self._over(probe.over):
+            slot = self._slot(effect, term.axis, present)
+            if slot is not None and term.effect.is_alike(effect) and effect is not term.effect:
+                order = {probe.parameter: term.values[probe.parameter]}
+                found.append(self._term(effect, term.axis, order, slot, term.multiplicity))
+        return found
+
     def at_whole_orders(self, term: Term) -> list[Term]:
         """A term with an order at the nearest whole number of times a turn, of the motor and of what it drives, and
         held there; none where the recording does not distinguish such orders."""
@@ -398,6 +411,11 @@ class Proposer:
     def _highest_Hz(self) -> float:
         """Highest frequency that is looked for in the rows of the recording."""
         return _OF_THE_ROWS / self._data.period_s
+
+
+def by_torque(term: Term) -> bool:
+    """True if it is a wave that grows with the torque."""
+    return term.effect.probe is not None and term.effect.probe.by_torque
 
 
 def _followed(angle_turns: Array) -> float:

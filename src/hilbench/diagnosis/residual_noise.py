@@ -27,6 +27,8 @@ _WIDTH: Final = 1.5
 _LEAST_FREEDOM: Final = 8.0
 #: Share of its response that others have to leave of something for a search to see how large it is.
 _IDENTIFIABLE: Final = 0.25
+#: Size of a column that is none: its square is still a number.
+_NOTHING: Final = 1e-150
 
 
 @dataclass(frozen=True)
@@ -103,14 +105,25 @@ def with_doubts(
     count = len(columns)
     wide = np.concatenate([columns, shapes])
     variances = np.maximum(np.diag(uncertainty(wide, residual).covariance), _variances_by_lines(wide, residual))
-    variance = variances[count:]
-    found = _least_squares(wide, residual.reshape(1, -1))[count:, 0]
-    off = np.sqrt((found / (1.0 + variance)) ** 2 + variance / (1.0 + variance))
-    moved = _least_squares(columns, shapes.reshape(len(shapes), -1)) * off
+    moved = _moved(columns, residual, shapes, variances[count:])
     moved[~doubted] = 0.0
     larger = _variances_by_lines(columns, residual) / np.maximum(np.diag(known.covariance), 1e-300)
     wider = np.where(doubted, np.sqrt(np.maximum(larger, 1.0)), 1.0)
     return Uncertainty(known.covariance * np.outer(wider, wider) + moved @ moved.T, known.freedom)
+
+
+def with_shapes(known: Uncertainty, columns: Array, residual: Array, shapes: Array) -> Uncertainty:
+    """Widen an uncertainty by what the prediction may be off by, as far as the recording does not show it."""
+    wide = np.concatenate([columns, shapes])
+    moved = _moved(columns, residual, shapes, np.diag(uncertainty(wide, residual).covariance)[len(columns) :])
+    return Uncertainty(known.covariance + moved @ moved.T, known.freedom)
+
+
+def _moved(columns: Array, residual: Array, shapes: Array, variance: Array) -> Array:
+    """(J, K): by how much each shape, which the recording shows with a variance (K,), moves each coordinate."""
+    found = _least_squares(np.concatenate([columns, shapes]), residual.reshape(1, -1))[len(columns) :, 0]
+    off = np.sqrt((found / (1.0 + variance)) ** 2 + variance / (1.0 + variance))
+    return _least_squares(columns, shapes.reshape(len(shapes), -1)) * off
 
 
 def with_guess(known: Uncertainty, columns: Array, residual: Array, guess: Array) -> Uncertainty:
@@ -177,7 +190,7 @@ def _least_squares(columns: Array, values: Array) -> Array:
 def _scaled(columns: Array) -> tuple[Array, Array, Array]:
     """Sizes (J,) of columns (J, n), the columns of size 1 that they are a multiple of, and the inverse of their Gram
     matrix."""
-    size = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
+    size = np.maximum(np.linalg.norm(columns, axis=1), _NOTHING)
     scaled = columns / size[:, None]
     return size, scaled, np.linalg.pinv(scaled @ scaled.T, rcond=1e-12, hermitian=True)
 

@@ -37,23 +37,23 @@ _LEAST_LINES: Final = 4.0
 #: behind its beginning and its gaps.
 _FADED: Final = 4.0
 _MOST_FORGOTTEN: Final = 0.5
+#: Share by which a sliding length is another.
+_ANOTHER: Final = 0.1
 
 
-def with_torsional_mode(space: Space, terms: list[Term]) -> OnMeasuredMotion | None:
-    """Prediction beside the torsional modes among the terms; None without any, or of a free run."""
-    torsional = [term for term in terms if term.is_torsional]
-    if not torsional or not isinstance(space.predictor, OnMeasuredMotion):
+def settled_beside(space: Space, found: Fit) -> OnMeasuredMotion | None:
+    """Prediction in which friction turns over as it does beside what oscillates or goes round with the axis among the
+    terms; None where that is as it was, or of a free run."""
+    predictor, torsional = space.predictor, [term for term in found.terms if term.is_torsional]
+    if not any(term.is_of_a_frequency for term in found.terms) or not isinstance(predictor, OnMeasuredMotion):
         return None
-    others = [term for term in terms if not term.is_torsional]
-    variants = [others]
-    for term in torsional:
-        here, steps = term.coordinates(), term.steps()
-        shapes = range(term.linear, len(here))
-        variants += [[*others, term], *([*others, term.at(here + steps * (np.arange(len(here)) == k))] for k in shapes)]
-    parameters = np.array([space.packed(variant) for variant in variants])
-    most_s = _MOST_FORGOTTEN * space.duration_s / space.predictor.starts
-    memory_s = min(max(map(_memory_s, torsional)), most_s)
-    return space.predictor.with_torsional_mode(parameters, memory_s)
+    derivatives = space.point(found.terms, found.residual).derivatives[:, 0]
+    each = zip(found.terms, parts(found.terms), strict=True)
+    beside = np.concatenate([derivatives[part] for term, part in each if term.is_of_a_frequency])
+    most_s = _MOST_FORGOTTEN * space.duration_s / predictor.starts
+    settled = predictor.settled_beside(beside, min(max(map(_memory_s, torsional), default=0.0), most_s))
+    travels = [0.0 if one.presliding is None else one.presliding.presliding_travel for one in (predictor, settled)]
+    return settled if torsional or abs(travels[1] - travels[0]) > _ANOTHER * max(travels) else None
 
 
 def unidentifiable_modes(space: Space, found: Fit) -> list[Term]:

@@ -16,6 +16,7 @@ of.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 from itertools import chain, compress
 from typing import Final
 
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.fit_with_residual_noise import fitted, stated_uncertainty, uncertainty_of
 from hilbench.diagnosis.measured_rules import (
+    CHANCE,
     LEAST_SHARE,
     TIED,
     WHOLE,
@@ -32,6 +34,7 @@ from hilbench.diagnosis.measured_rules import (
     identifiable_on_one_sine,
     in_both_halves,
     in_every_band,
+    in_known_band,
     in_order,
     is_beside_a_whole_order,
     is_in_known_band,
@@ -39,8 +42,9 @@ from hilbench.diagnosis.measured_rules import (
     least_share,
 )
 from hilbench.diagnosis.noise import Whitening
-from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.proposals import Proposer, by_torque
 from hilbench.diagnosis.residual_noise import Uncertainty
+from hilbench.diagnosis.resonance import settled_beside
 from hilbench.diagnosis.selection import CandidateSet, Selection
 from hilbench.diagnosis.side_bands import NEAR, SideBands, is_near_present, order_of
 from hilbench.diagnosis.space import Space, noise_model
@@ -49,8 +53,6 @@ from hilbench.diagnosis.terms import RANK, Key, Place, Term, parts, strength_par
 
 Array = NDArray[np.float64]
 
-#: Chance up to which a term that is neutral may be found all the same, over all places that it was searched for at.
-_CHANCE: Final = 1e-3
 #: The same beside what the prediction may be off by: of less its 95 % interval has no neutral value.
 _NEUTRAL_IN_INTERVAL: Final = 0.05
 #: Share below which the chance has to be smaller in proportion: what explains little has to be the surer.
@@ -75,9 +77,18 @@ class MeasuredRules:
 
     def __init__(self, space: Space, proposer: Proposer, as_simple: Collection[str] = ()) -> None:
         """as_simple: effects that are looked for as early as friction and offset are."""
-        self.space, self.proposer, self.rows, self._as_simple = space, proposer, space.predictor.rows, as_simple
-        self.samples = float(np.count_nonzero(self.rows) * len(space.predictor.names))
+        self.space, self.proposer, self._as_simple, self._waves = space, proposer, as_simple, 0
         self._bands: tuple[Fit, SideBands] | None = None  # last fit that they were asked of
+
+    @property
+    def rows(self) -> NDArray[np.bool_]:
+        """(n,): those that count."""
+        return self.space.predictor.rows
+
+    @property
+    def samples(self) -> float:
+        """Number of values that count."""
+        return float(np.count_nonzero(self.rows) * len(self.space.predictor.names))
 
     def fit_of(self, terms: list[Term]) -> Fit:
         """Fitted to all rows that count."""
@@ -88,14 +99,22 @@ class MeasuredRules:
         return current
 
     def continued(self, best: Fit, offered: CandidateSet) -> tuple[Fit, CandidateSet, bool]:
-        """Continue with the candidates at the new model; there is always more."""
+        """Continue with the candidates at the new model; there is always more. What goes round with the axis hides how
+        friction turns over: that is looked at again beside it."""
+        waves = sum(term.has_phase for term in best.terms)
+        if waves > self._waves and not any(term.is_torsional for term in best.terms):
+            self._waves = waves
+            if (settled := settled_beside(self.space, best)) is not None:
+                self.space = replace(self.space, predictor=settled)
+                best = self.fit_of(best.terms)
         return best, self.candidates(best), True
 
     def judged(self, current: Fit, offered: CandidateSet) -> Selection:
         """Select the terms that are certain given all others."""
-        steady = in_both_halves(self.space, in_every_band(self.space, current))
+        found_resonant = any(term.is_torsional for term in current.terms)
+        steady = in_both_halves(self.space, in_every_band(self.space, in_known_band(self.space, current)))
         wandering = {term.place for term in current.terms} - {term.place for term in steady.terms}
-        certain = self._without_superfluous(steady)
+        certain = self._without_superfluous(self._at_whole_orders(steady))
         if len(certain.terms) < len(current.terms):
             offered = self.candidates(certain)
         current = certain
@@ -104,8 +123,11 @@ class MeasuredRules:
         if simpler is not current:
             current, offered = simpler, self.candidates(simpler)
             tied = self._tied(current, offered, wandering)
+        if (fewer := self._with_fewer(current, tied, offered)) is not None:
+            current, offered = fewer, self.candidates(fewer)
+            tied = self._tied(current, offered, wandering)
         # On one steady sine an inertia replaces a resonance, and leaves more.
-        resonant = any(t.is_torsional for t in steady.terms) and not any(t.is_torsional for t in current.terms)
+        resonant = found_resonant and not any(t.is_torsional for t in current.terms)
         exhausted, few = resonant and is_on_one_sine(self.space), self._unidentifiable(current, tied, offered)
         return Selection(current, offered, self.samples, tied, self._evidence(current), exhausted, unidentifiable=few)
 
@@ -146,6 +168,14 @@ class MeasuredRules:
         searched = self._searched(current, white)
         more = space.strengths(current.terms, current.residual, searched)
         is_identified = [own_share(self._counted(response), moving) >= _OWN_SHARE_OF_WAVE for response in more]
+        # What grows with the torque is no more identified than what does not.
+        plain = [
+            self.order(term) for term, yes in zip(searched, is_identified, strict=True) if yes and not by_torque(term)
+        ]
+        is_identified = [
+            yes and (not by_torque(term) or self.order(term) in plain)
+            for term, yes in zip(searched, is_identified, strict=True)
+        ]
         searched, more = list(compress(searched, is_identified)), list(compress(more, is_identified))
         return CandidateSet(white, current.residual, own, candidates + searched, responses + more)
 
@@ -166,7 +196,12 @@ class MeasuredRules:
                 masked = np.where(self.rows, apply(response), 0.0)
                 found.append(self.proposer.tuned(term, left, masked, self.space.predictor.every)[0])
         found = [term for term in found if not is_near_present(self.space, self.proposer, term, current)]
+        found += [plain for term in found for plain in self.proposer.plainer(term, current.terms)]
         return found + [whole for term in found for whole in self.proposer.at_whole_orders(term)]
+
+    def order(self, wave: Term) -> float:
+        """Times a turn of the motor."""
+        return order_of(self.space, self.proposer, wave)
 
     def _linear(
         self, residual: Array, own: Array, offered: CandidateSet, beside: SideBands | None = None
@@ -191,6 +226,7 @@ class MeasuredRules:
         mine, members = list(range(len(offered.own))), offered.members(len(offered.own))
         simple = [column for term, group in members if not term.effect.removable for column in group]
         before, before_unseen = problem.left(mine)[0], problem.left_unseen(mine)
+        beside_simple = problem.left([*mine, *simple])[0]
         waves = [(term, self._wave_gain(problem, mine, group)) for term, group in members if term.has_phase]
         whole = [(term, problem.gain_by_stretch(mine, group)) for term, group in members if term.held]
         offers = []
@@ -200,6 +236,8 @@ class MeasuredRules:
                 continue
             # A law of higher order is fitted with those that it consists of, even where these are not identified.
             if term.effect.removable and problem.own_share(group[0], [*mine, *simple]) < _OWN_SHARE:
+                continue
+            if term.effect.removable and problem.left([*mine, *simple, *group])[0] > (1.0 - least) * beside_simple:
                 continue
             unseen, free = before_unseen - problem.left_unseen([*mine, *group]), 0.0
             if term.has_phase:
@@ -281,7 +319,7 @@ class MeasuredRules:
             for k in np.argsort(chances)[::-1]:
                 term = current.terms[k]
                 least = _STAYING_SHARE / LEAST_SHARE * least_share(term)
-                chance = _CHANCE / term.multiplicity * min(1.0, shares[k] / _LARGE_SHARE)
+                chance = CHANCE / term.multiplicity * min(1.0, shares[k] / _LARGE_SHARE)
                 if chances[k] > chance or shares[k] < least or stated[k] > _NEUTRAL_IN_INTERVAL:
                     current = fitted(self.space, [*current.terms[:k], *current.terms[k + 1 :]])
                     break
@@ -363,6 +401,33 @@ class MeasuredRules:
                 found = fitted(self.space, [first if one is term else one for one in current.terms])
                 return self._with_first_of_alike(found, {one.key: [] for one in found.terms} | tied, offered)
         return current
+
+    def _at_whole_orders(self, current: Fit) -> Fit:
+        """The fit with each wave at a whole order that leaves as little."""
+        for k, term in enumerate(current.terms):
+            for whole in [] if term.held else self.proposer.at_whole_orders(term):
+                found = fitted(self.space, [*current.terms[:k], whole, *current.terms[k + 1 :]])
+                if self._left(found) < (1.0 + TIED) * self._left(current):
+                    current = found
+                    break
+        return current
+
+    def _left(self, found: Fit) -> float:
+        """Sum of squares of what a fit leaves in the rows that count."""
+        return float(np.sum(self._counted(found.residual) ** 2))
+
+    def _with_fewer(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> Fit | None:
+        """The fit in which what is tied with a term, in its place, makes others superfluous and leaves as little: one
+        effect is likelier than two that together do the same."""
+        most = (1.0 + TIED) * self._left(current)
+        for term in current.terms:
+            for other in offered.candidates:
+                if other.place in tied[term.key] and not other.has_phase:
+                    rest = [one for one in current.terms if one is not term]
+                    found = self._without_superfluous(fitted(self.space, [*rest, other]))
+                    if len(found.terms) < len(current.terms) and self._left(found) < most:
+                        return found
+        return None
 
     def _unidentifiable(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> list[Term]:
         """A candidate of each place of which this motion can distinguish none, and that is tied with nothing."""
