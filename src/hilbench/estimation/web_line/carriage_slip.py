@@ -2,7 +2,8 @@
 
 Inflow at the section's first roller, less outflow at its last and the room made by the carriage (by its sensor), is web
 stretched in it, or slip. Web entering with another strain, or another E, loses a share that is no more than the usual
-strain; a slip below that is not detected. An E that steps stretches all of the section's web at once.
+strain; a slip below that is not detected. An E that steps stretches all of the section's web at once, and has it swing
+with the carriage.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ from typing import Final
 _SLIPS, _ENDS = 2.0, 1.0
 #: Uncertainty of the room that a carriage makes, for each strand, m.
 _ROOM_M: Final = 3e-4
-#: Share of the usual strain by which a step of E stretches a web whose tension its carriage keeps: 1/0.6 - 1 of -40 %.
-_AT_ONCE: Final = 0.7
+#: Share of the usual strain by which a step of E stretches a web whose tension its carriage keeps: 1/0.6 - 1 of -40 %,
+#: and as much again while they swing.
+_AT_ONCE: Final = 1.5
 #: Travel between records of the loss, as a share of the section's length.
 _KEPT_EVERY: Final = 0.05
 
