@@ -36,7 +36,7 @@ from hilbench.bench.reports.change import Change as Change_
 from hilbench.can.frame import Frame
 from hilbench.canopen.host import HostedDevices
 from hilbench.estimation.web_line import span_estimator_cycle
-from hilbench.in_process_cycle.cycles import FastPathCycles
+from hilbench.in_process_cycle.cycles import FastPathCycles, _Run
 from hilbench.results.run import Recorder
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
@@ -257,6 +257,22 @@ def ramps(path: str, to: float, duration_s: float) -> Change:
 )
 def test_what_is_moved_runs_alike(tmp_path: Path, name: str, change: Change) -> None:
     check(tmp_path, load_with_overrides(CONFIGS / f"{name}.yaml"), [(10, sets("line_speed_m_s", 0.05)), (40, change)])
+
+
+@pytest.mark.parametrize("name", ["web_section_step", "line_with_dancer", "servo_axis"])
+def test_a_cycle_that_does_not_fit_after_all_runs_alike(tmp_path: Path, name: str) -> None:
+    """As when the machine held the process up between two cycles."""
+    held_up, fitting = list[object](), _Run._fitting_cycles
+
+    def is_held_up_first(run: _Run, now_ns: int) -> int:
+        if len(held_up) < 3 and run not in held_up:
+            held_up.append(run)
+            return 0
+        return fitting(run, now_ns)
+
+    with patch.object(_Run, "_fitting_cycles", is_held_up_first):
+        check(tmp_path, load_with_overrides(CONFIGS / f"{name}.yaml"), [])
+    assert len(held_up) == 3
 
 
 def test_a_limit_warns_and_trips_in_the_same_cycle(tmp_path: Path) -> None:

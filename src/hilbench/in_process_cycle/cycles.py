@@ -217,6 +217,9 @@ class _Run(BenchFastCycle):
 
     # -- back to the objects ---------------------------------------------------------------------------------
 
+    def _forget(self) -> None:
+        self._here.machine.forget_vectors()
+
     def _give(self) -> None:
         """Update both sides from the last PDOs and heartbeats."""
         here, arrays = self._here, self._arrays
