@@ -55,6 +55,8 @@ Array = NDArray[np.float64]
 
 #: The same beside what the prediction may be off by: of less its 95 % interval has no neutral value.
 _NEUTRAL_IN_INTERVAL: Final = 0.05
+#: The same of a term that was searched for at many places, over all of them: so many names may be false.
+_FALSE: Final = 0.01
 #: Share below which the chance has to be smaller in proportion: what explains little has to be the surer.
 _LARGE_SHARE: Final = 0.25
 #: Share of the sum of squares that is left without a term from which the term stays.
@@ -320,7 +322,8 @@ class MeasuredRules:
                 term = current.terms[k]
                 least = _STAYING_SHARE / LEAST_SHARE * least_share(term)
                 chance = CHANCE / term.multiplicity * min(1.0, shares[k] / _LARGE_SHARE)
-                if chances[k] > chance or shares[k] < least or stated[k] > _NEUTRAL_IN_INTERVAL:
+                neutral = _FALSE / term.multiplicity if term.multiplicity > 1.0 else _NEUTRAL_IN_INTERVAL
+                if chances[k] > chance or shares[k] < least or stated[k] > neutral:
                     current = fitted(self.space, [*current.terms[:k], *current.terms[k + 1 :]])
                     break
             else:

@@ -247,13 +247,8 @@ class BenchFastCycle(ABC):
         if self.done:
             self._give()
             self._give_bench()
-        else:
-            self._forget()
         if fault is not None:
             raise fault
-
-    def _forget(self) -> None:
-        """No cycle was run: objects that are not of the bench go on as they are."""
 
     def _give_bench(self) -> None:
         wiring, arrays, nodes = self._wiring, self._arrays, self._nodes

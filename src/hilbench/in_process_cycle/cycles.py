@@ -217,7 +217,9 @@ class _Run(BenchFastCycle):
 
     # -- back to the objects ---------------------------------------------------------------------------------
 
-    def _forget(self) -> None:
+    def end(self) -> None:
+        """As of `BenchFastCycle`; the twin's machine goes back to its objects also where no cycle was run."""
+        super().end()
         self._here.machine.forget_vectors()
 
     def _give(self) -> None:
