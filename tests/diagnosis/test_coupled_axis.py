@@ -107,14 +107,17 @@ def test_the_torque_of_an_inertia_passes_the_filter_once_as_what_is_measured_doe
 @pytest.mark.slow
 @pytest.mark.parametrize("joint", [1, 2])
 def test_intervals_of_gravity_hold_beside_noise_of_the_encoders(joint: int) -> None:
-    for seed in range(4):
+    missed = []
+    for seed in range(8):
         recording = ARM.recording(joint, with_other=True)
         rng = np.random.default_rng([seed, joint])
         noisy = {name: recording[name] + 2e-3 * rng.standard_normal(len(recording)) for name in ("x1_rad", "x2_rad")}
         found = found_in(Recording({**recording.channels, **noisy}))
         (gravity,) = (item for item in found.effects if item.effect == "unbalance")
         low, high = next(iter(gravity.parameters.values())).ci95
-        assert low <= ARM.gravity_Nm[joint - 1] <= high
+        if not low <= ARM.gravity_Nm[joint - 1] <= high:
+            missed.append((low, high))
+    assert len(missed) <= 1, missed  # of 95 % intervals two or more of eight miss in 6 % of the draws
 
 
 def test_an_axis_that_is_not_coupled_changes_nothing() -> None:

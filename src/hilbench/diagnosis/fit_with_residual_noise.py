@@ -74,10 +74,10 @@ def stated_uncertainty(space: Space, found: Fit) -> Uncertainty:
     if predictor.sine_Hz is not None and not any(term.is_torsional for term in found.terms):
         return _on_one_sine(space, found, predictor, predictor.repeating(predictor.sine_Hz))
     rows = predictor.rows
+    derivatives = space.point(found.terms, found.residual).derivatives[..., rows]
+    left, doubts = found.residual[..., rows], predictor.doubts(space.packed(found.terms))[..., rows]
+    known = with_shapes(known, derivatives, left, doubts[1:])  # an inertia is judged below
     if predictor.arm is None:
-        derivatives = space.point(found.terms, found.residual).derivatives[..., rows]
-        left, doubts = found.residual[..., rows], predictor.doubts(space.packed(found.terms))[..., rows]
-        known = with_shapes(known, derivatives, left, doubts[1:])  # an inertia is judged below
         if not any(map(_identifies_inertia, found.terms)):
             known = with_guess(known, derivatives, left, predictor.of_inertia[..., rows])
         return known

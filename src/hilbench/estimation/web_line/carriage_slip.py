@@ -2,8 +2,7 @@
 
 Inflow at the section's first roller, less outflow at its last and the room made by the carriage (by its sensor), is web
 stretched in it, or slip. Web entering with another strain, or another E, loses a share that is no more than the usual
-strain; a slip below that is not detected. An E that steps stretches all of the section's web at once, and has it swing
-with the carriage.
+strain; a slip below that is not detected.
 """
 
 from __future__ import annotations
@@ -16,9 +15,6 @@ from typing import Final
 _SLIPS, _ENDS = 2.0, 1.0
 #: Uncertainty of the room that a carriage makes, for each strand, m.
 _ROOM_M: Final = 3e-4
-#: Share of the usual strain by which a step of E stretches a web whose tension its carriage keeps: 1/0.6 - 1 of -40 %,
-#: and as much again while they swing.
-_AT_ONCE: Final = 1.5
 #: Travel between records of the loss, as a share of the section's length.
 _KEPT_EVERY: Final = 0.05
 
@@ -27,8 +23,7 @@ class CarriageSlip:
     """Slip detector of a section of this length and usual strain, with so many strands of web at its carriage."""
 
     def __init__(self, length_m: float, strands: int, strain: float) -> None:
-        self._length_m, self._strain = length_m, strain
-        self._unsure_m = _ROOM_M * strands + _AT_ONCE * strain * length_m
+        self._length_m, self._strain, self._unsure_m = length_m, strain, _ROOM_M * strands
         self.reset()
 
     def reset(self) -> None:
@@ -39,20 +34,18 @@ class CarriageSlip:
         self.since_s = inf  #: latest time without slip; inf if nothing slips
         self._judged_m = 0.0  # travel at detection
 
-    def take(self, time_s: float, before_m: float, behind_m: float, room_m: float) -> None:
+    def take(self, time_s: float, before_m: float, behind_m: float, room_m: float, *, allowed: bool) -> None:
         """Take web travel since the last call: in by the roller before the section, out by the one after it, and the
-        web length added by its carriage."""
+        web length added by its carriage. A loss is `allowed` to be the strain of a web that changes."""
         self._travel_m += abs(behind_m)
         self._lost_m += before_m - behind_m - room_m
+        if allowed:
+            self._kept = deque((time_s, travel_m, self._lost_m) for time_s, travel_m, _ in self._kept)
         while len(self._kept) > 1 and self._kept[1][1] <= self._travel_m - self._length_m:
             self._kept.popleft()
         if not self._kept or self._travel_m - self._kept[-1][1] >= _KEPT_EVERY * self._length_m:
             self._judge()
             self._kept.append((time_s, self._travel_m, self._lost_m))
-
-    def allow(self) -> None:
-        """Attribute the loss up to now to the strain of a changed web."""
-        self._kept = deque((time_s, travel_m, self._lost_m) for time_s, travel_m, _ in self._kept)
 
     def _judge(self) -> None:
         if self.since_s == inf:

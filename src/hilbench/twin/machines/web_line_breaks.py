@@ -69,6 +69,7 @@ class _Section:
         self.slack, self._doubt_s = False, 0.0
         self.belied_since_s = inf  #: latest time at which the encoders' tension agreed, where it does not
         self._belied = False  # in the previous block
+        self._apart_s = 0.0  # for how long they have not agreed
         self._agreed_s = self._agreed_m = 0.0  # travel of the web since they agree again
         self.is_N: float | None = None  #: tension by the torques of the last block
         self.carried_m: float | None = None  #: length with a carriage, at the last evaluation
@@ -104,6 +105,11 @@ class _Section:
         self.slack = bool(max(tightest_N, 0.0) <= SLACK * self.usual_N)
 
     @property
+    def changes(self) -> bool:
+        """True if E may just have changed: torques and encoders disagree since lately, and not for good."""
+        return 0.0 < self._apart_s < _SETTLED_S
+
+    @property
     def problem(self) -> Problem | None:
         """Problem of the web."""
         if self._breaks.found is Problem.WEB_BREAK:
@@ -131,7 +137,7 @@ class _Section:
         travel of the web since the last one, None if there is none or the simulated line has not settled."""
         promised_N = sum(self._block.tensions_N[:, self._spans[-1]].tolist()) / cycles
         is_N = promised_N - float(np.sum(more_N[self.axis :]))
-        self._compare(time_s - lasted_s, is_N / self.usual_N, promised_N / self.usual_N, travel_m)
+        self._compare(time_s - lasted_s, lasted_s, is_N / self.usual_N, promised_N / self.usual_N, travel_m)
         self.is_N = is_N
         if travel_m is None:
             return
@@ -143,7 +149,7 @@ class _Section:
             followed_N = sum(self._by_model_N(*self._seen(slice(None))).tolist()) / cycles
             self.slip.take(time_s, is_N, followed_N, travel_m, lasted_s, steady=steady)
 
-    def _compare(self, began_s: float, share: float, promised: float, travel_m: float | None) -> None:
+    def _compare(self, began_s: float, lasted_s: float, share: float, promised: float, travel_m: float | None) -> None:
         """Compare the tension by torques and by encoders in a block, both over the usual tension."""
         belied = self.slack and share > _PULLS
         self.slack &= not belied
@@ -154,6 +160,7 @@ class _Section:
         if agrees and self.belied_since_s == inf:
             self._agreed_s = began_s
         self._agreed_m = self._agreed_m + abs(travel_m or 0.0) if agrees else 0.0
+        self._apart_s = 0.0 if agrees else self._apart_s + lasted_s
         if self._agreed_m > _AGREES_AGAIN * self.length_m:
             self.belied_since_s = inf
 
@@ -260,11 +267,9 @@ class SectionWatch:
             if section.of_carriage is not None:
                 before_m, section.carried_m = section.carried_m, self._sensed_length_m(section.axis)
                 if travels_m is not None:
-                    if swings:
-                        section.of_carriage.allow()
                     into_m, out_m = travels_m[section.axis - 1 : section.axis + 1].tolist()
                     room_m = 0.0 if before_m is None else section.carried_m - before_m
-                    section.of_carriage.take(time_s, into_m, out_m, room_m)
+                    section.of_carriage.take(time_s, into_m, out_m, room_m, allowed=swings or section.changes)
         self._judged_m = positions_m[-1].copy()
         self.interrupt()
 
