@@ -308,7 +308,7 @@ def odd(cases: list[Case]) -> list[list[str]]:
 
 def summary(rows: list[docs_page.Row]) -> str:
     """Their seeds."""
-    return f"Disagreements and false alarms: {', '.join('seed ' + row['seed'] for row in rows) or 'none'}."
+    return f"Disagreements and false alarms: seeds {', '.join(row['seed'] for row in rows)}."
 
 
 TABLE = docs_page.Table(

@@ -33,7 +33,6 @@ def test_what_check_tells_of_a_machine_is_what_its_run_shows_and_a_whole_web_is_
         pytest.param(39, id="spans settle one after another behind a step of E"),
         pytest.param(143, id="spans settle slowly behind a step of E"),
         pytest.param(8, id="a single block of the torque is off before E steps"),
-        pytest.param(15, id="a ramp ends in a torque with little of the tension in it"),
         pytest.param(55, id="other web is suspected when it is long through"),
         pytest.param(98, id="a ramp begins within a block"),
         pytest.param(118, id="a ramp takes many times the tension"),

@@ -23,14 +23,11 @@ from math import exp, inf
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array, Vector
 from hilbench.compiled import MATRIX, VECTOR, Record, compiled, entry_point, interpreted, record_type, viewed
 from hilbench.estimation.web_line.balance import BalanceSample
 from hilbench.estimation.web_line.block_means import BLOCK_S, SAME_SPEED
-
-Array = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 #: Interval of the evaluation, s, and the largest and least number of blocks used.
 _LOOK_S = 0.1
@@ -40,9 +37,6 @@ _MOST, _FEWEST = 400, 40
 _BEFORE, _BEHIND, _LATEST, _EARLIER = 15, 2, 90, 15
 #: Twice the log likelihood ratio: a change is certain; one explanation beats another; a change is suspected.
 _CHANGED, _BETTER, _SUSPECTED = 45.0, 16.0, 25.0
-#: Error of the compliance where the force that accelerates changes, over this change, by which blocks are weighted:
-#: torque and speed are of the same instants to a twentieth of a block (at 0.07 a joint in a ramp is followed worse).
-_TIMING_ERROR = 0.05
 #: Travel of a joint through the span, in lengths, from which on it is separable from a step, and up to which its
 #: estimate improves.
 _LEAST_TRAVEL, _THROUGH = 0.12, 1.0
@@ -80,10 +74,10 @@ _STEP, _WEB, _SHORT, _KINDS = range(4)
 _FOUND: Final = record_type("explained", "place", "change", "mean")
 
 
-@entry_point(VECTOR, VECTOR, VECTOR, MATRIX, VECTOR, MATRIX)
-def _explain_all(travels: Vector, values: Vector, weights: Vector, motion: Array, fronts: Vector, best: Array) -> None:
-    """Best least squares of weighted values (n,) as a shape of each kind times its change, orthogonal to orthonormal
-    rows (k, n): `_FOUND` of each kind. Travels (n,) and `fronts` (m,) in lengths of the span."""
+@entry_point(VECTOR, VECTOR, MATRIX, VECTOR, MATRIX)
+def _explain_all(travels: Vector, values: Vector, motion: Array, fronts: Vector, best: Array) -> None:
+    """Best least squares of values (n,) as a shape of each kind times its change, orthogonal to orthonormal rows
+    (k, n): `_FOUND` of each kind. Travels (n,) and `fronts` (m,) in lengths of the span."""
     count, of_values, of_shape = len(values), np.zeros(len(motion)), np.zeros(len(motion))
     shapes = np.zeros((_KINDS, count))  # compliance relative to the change of the whole span's
     for k in range(len(motion)):
@@ -100,10 +94,9 @@ def _explain_all(travels: Vector, values: Vector, weights: Vector, motion: Array
         for kind in range(_KINDS):
             shape, found, squares, product, total = shapes[kind], viewed(best[kind], _FOUND)[0], 0.0, 0.0, 0.0
             for j in range(count):
-                total += shape[j]
-                shape[j] *= weights[j]
                 squares += shape[j] * shape[j]
                 product += shape[j] * values[j]
+                total += shape[j]
             for k in range(len(motion)):
                 of_shape[k] = 0.0
                 for j in range(count):
@@ -208,13 +201,10 @@ class SpliceFinder:
         if not noise > 0.0:
             return None
         fronts_m = _fronts_m(travels_m)
-        mean = float(compliances.mean())
-        turns = np.abs(np.diff(accelerating, prepend=accelerating[0], append=accelerating[-1]))
-        weights = 1.0 / np.hypot(1.0, _TIMING_ERROR * mean / noise * np.maximum(turns[1:], turns[:-1]))
-        motion = _known_regressors(speeds_m_s, accelerating, weights)
-        fits = self._fits(travels_m, compliances, weights, motion, fronts_m, noise)
+        motion = _known_regressors(speeds_m_s, accelerating)
+        fits = self._fits(travels_m, compliances, motion, fronts_m, noise)
         # The residual of the best fit, e.g. of a roller hit by a step, counts as noise.
-        total = float(np.sum(_without(weights * compliances, motion) ** 2)) / noise**2
+        total = float(np.sum(_without(compliances, motion) ** 2)) / noise**2
         rest = (total - max(fit.gain for fit in fits)) / len(compliances)
         inside_yet = [fit.gain for fit in fits if travels_m[-1] - fit.front_m < _THROUGH * self._length_m]
         self.suspects = max(inside_yet, default=0.0) > _SUSPECTED * max(rest, 1.0)
@@ -239,14 +229,12 @@ class SpliceFinder:
             return None
         return self._entered(fits[kind], travel_share)
 
-    def _fits(
-        self, travels_m: Array, compliances: Array, weights: Array, motion: Array, fronts_m: Array, noise: float
-    ) -> list[_Fit]:
-        """Best weighted fit of a + b·shape + motion for each kind; motion (n, k): as of `_known_regressors`."""
-        values, rows = weights * compliances, np.ascontiguousarray(motion.T)
-        best, mean, fits = np.zeros(_KINDS, _FOUND), float(compliances.mean()), []
+    def _fits(self, travels_m: Array, compliances: Array, motion: Array, fronts_m: Array, noise: float) -> list[_Fit]:
+        """Best least-squares fit of a + b·shape + motion for each kind; motion (n, k): as of `_known_regressors`."""
+        values, rows = np.ascontiguousarray(compliances), np.ascontiguousarray(motion.T)
+        best, mean, fits = np.zeros(_KINDS, _FOUND), float(values.mean()), []
         of_kinds = best.view(np.float64).reshape(_KINDS, -1)
-        _explain_all(travels_m / self._length_m, values, weights, rows, fronts_m / self._length_m, of_kinds)
+        _explain_all(travels_m / self._length_m, values, rows, fronts_m / self._length_m, of_kinds)
         for explained, place, change, of_shape in best.tolist():
             share = change / (mean - change * of_shape)
             fits.append(_Fit(explained / noise**2, float(fronts_m[int(place)]), share))
@@ -307,12 +295,12 @@ def _fronts_m(travels_m: Array) -> Array:
     return np.asarray(0.5 * (travels_m[before] + travels_m[before + 1]))
 
 
-def _known_regressors(speeds_m_s: Array, accelerating: Array, weights: Array) -> Array:
-    """Orthonormal columns (n, 1 to 3) of weighted compliance changes without a joint: constant, speed, acceleration."""
+def _known_regressors(speeds_m_s: Array, accelerating: Array) -> Array:
+    """Orthonormal columns (n, 1 to 3) of compliance changes without a joint: constant, speed, acceleration."""
     regressors = [np.ones(len(speeds_m_s))]
     if np.ptp(speeds_m_s) > SAME_SPEED * np.max(np.abs(speeds_m_s)):
         regressors += [speeds_m_s, accelerating]
-    return np.linalg.qr(weights[:, None] * np.stack(regressors, axis=1))[0]
+    return np.linalg.qr(np.stack(regressors, axis=1))[0]
 
 
 def _without(values: Array, regressors: Array) -> Array:
