@@ -50,7 +50,7 @@ def sync_runs_command(config_path: Path, methods: str, out: Path | None, jobs: i
     for name, changes in zip(chosen, runs, strict=True):
         if name == _PUBLISHED:
             changes["twin.transfer.strain"] = "false"
-            loops = [each for each, control in config.controllers.items() if control.kind == "tension"]
+            loops = [each for each, control in config.controllers.items() if hasattr(control, "bandwidth_rad_per_s")]
             changes |= {f"controllers.{each}.bandwidth_rad_per_s": _PUBLISHED_BANDWIDTH for each in loops}
     sweep = Sweep(config_path, (), runs, folder)
 
