@@ -109,7 +109,7 @@ def test_the_torque_of_an_inertia_passes_the_filter_once_as_what_is_measured_doe
 def test_intervals_of_gravity_hold_beside_noise_of_the_encoders(joint: int) -> None:
     missed = []
     for seed in range(8):
-        recording = ARM.recording(joint, with_other=True)
+        recording = replace(ARM, seed=seed).recording(joint, with_other=True)  # with torque noise of its own
         rng = np.random.default_rng([seed, joint])
         noisy = {name: recording[name] + 2e-3 * rng.standard_normal(len(recording)) for name in ("x1_rad", "x2_rad")}
         found = found_in(Recording({**recording.channels, **noisy}))
