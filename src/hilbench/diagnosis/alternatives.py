@@ -10,16 +10,14 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.fit import Fit, around, fit, sums
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.selection import Better, CandidateSet, Selection
 from hilbench.diagnosis.space import finest
 from hilbench.diagnosis.steps import MARGIN, TIED, Steps, price
 from hilbench.diagnosis.terms import RANK, Key, Place, Term, parts
-
-Array = NDArray[np.float64]
 
 #: How many are fitted in the place of a term.
 _ALTERNATIVES: Final = 7

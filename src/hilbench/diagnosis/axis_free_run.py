@@ -8,13 +8,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.plant.servo_axis.emulated_run import ShaftEmulation, simulate_emulated
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
-
-Array = NDArray[np.float64]
 
 #: Speed below which the shaft is at rest, where dry friction is not one law but many, how long that acts on what comes
 #: after it, s, and the share of a recording that may be left out.

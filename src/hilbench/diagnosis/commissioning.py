@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.fit_with_residual_noise import weights
 from hilbench.diagnosis.machines import AnyEmulation
@@ -34,8 +35,6 @@ from hilbench.plant.effect import Section
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
-
-Array = NDArray[np.float64]
 
 #: What is measured of each axis, and what a person calls it.
 MEASURED: Final = {

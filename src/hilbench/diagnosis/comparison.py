@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.diagnosis import (
     Diagnosis,
     Explained,
@@ -43,7 +44,6 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParam
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 #: How many times as large torques, or speeds, of one machine may be in one recording as in the other.

@@ -18,11 +18,9 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.stretched_problem import StretchedProblem
-
-Array = NDArray[np.float64]
 
 #: Share of what is left of the torque by a joint alone, its stretches predicted from one another, that the other's
 #: motion has to explain; and what it may leave of the torque's rms where they are an arm.

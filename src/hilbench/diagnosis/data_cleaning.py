@@ -16,13 +16,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array, Rows
 from hilbench.diagnosis.noise import floor, rms
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import LEAST_SAMPLES, Recording
 from hilbench.topology.signal_kinds import TIME
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 #: Share of the rows that may be left out, repeated or without a time; what is more is no recording to judge by.
 _MOST_LEFT_OUT: Final = 0.2

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.alternatives import FreeRules
 from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, unidentifiable_beside
@@ -44,8 +45,6 @@ from hilbench.plant.effect import Effect, Section
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
-
-Array = NDArray[np.float64]
 
 #: An effect is invisible when a change of its usual size is below so many standard deviations.
 _VISIBLE: Final = 5.0

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.space import Point, Space
 from hilbench.diagnosis.terms import Term, parts, strength_parts
-
-Array = NDArray[np.float64]
 
 _MOST_STEPS: Final = 6
 _LEAST_STEPS: Final = 2

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.fit import Fit, fit
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.noise import Whitening, rms, scaling
@@ -27,8 +28,6 @@ from hilbench.diagnosis.stretched_problem import StretchedProblem
 from hilbench.diagnosis.terms import Term, parts
 from hilbench.plant.effect import Domain
 from hilbench.plant.effects import find_effect
-
-Array = NDArray[np.float64]
 
 #: Share of what is left from which a change with time explains too much of it for the effects to be all.
 _MOSTLY: Final = 1.0 / 3.0

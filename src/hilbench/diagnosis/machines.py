@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hilbench.arrays import Array
 from hilbench.machine_kinds import machine_part
 from hilbench.plant.effect import Domain, Effect, Section
 from hilbench.plant.effects import STATION_EFFECTS, effects_of, find_effect
@@ -17,7 +15,6 @@ from hilbench.plant.servo_axis import layout as shaft_layout
 from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
 from hilbench.plant.web_line.emulation import Emulation
 
-Array = NDArray[np.float64]
 #: How a bench emulated a machine with its load motors.
 AnyEmulation = Emulation | ShaftEmulation
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
+from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis import web_torque_checks as torque_checks
 from hilbench.diagnosis.data_cleaning import Repair, mended
@@ -24,8 +25,6 @@ from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 from hilbench.topology.signal_kinds import TIME
-
-Array = NDArray[np.float64]
 
 #: Sampling periods that can be worked with, s.
 SHORTEST_PERIOD_S: Final = 0.0005

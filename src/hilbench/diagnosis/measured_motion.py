@@ -14,6 +14,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import binary_dilation
 from scipy.signal import butter, sosfiltfilt
 
+from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.coupling import Arm, Motion, by_accelerations, columns, explains, left_unseen, likelier
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
@@ -23,8 +24,6 @@ from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.diagnosis.smooth_motion import smoothed
 from hilbench.diagnosis.steady_sine import evenly_with, frequency_of_sine, harmonics
 from hilbench.plant.model_file import Machine
-
-Array = NDArray[np.float64]
 
 #: Speed below which an axis is at rest at least, as a share of its usual highest speed.
 _STANDSTILL_SHARE: Final = 0.02

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from hilbench import strict_yaml
+from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect
 from hilbench.diagnosis.measured import Measured, measured_from
@@ -31,7 +31,6 @@ from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 from hilbench.results.recording import Recording
 
-Array = NDArray[np.float64]
 Step = dict[str, dict[str, Any]]
 
 #: Longest experiment that is proposed, s.

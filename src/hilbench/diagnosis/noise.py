@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
-Array = NDArray[np.float64]
+from hilbench.arrays import Array
 
 #: Standard deviations on either side of which 95 % of a normal variable lies.
 NORMAL_95: Final = 1.96

@@ -8,14 +8,13 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.diagnosis.web_line.loop_check import Loop
 from hilbench.machine_kinds import machine_part
 from hilbench.plant.model_file import Machine
-
-Array = NDArray[np.float64]
 
 #: Basis of a free run.
 RECORDED_COMMANDS: Final = "the recorded commands"

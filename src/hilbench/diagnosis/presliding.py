@@ -12,15 +12,12 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from hilbench.arrays import Array, Rows
 from hilbench.diagnosis.coupling import Motion
 from hilbench.diagnosis.noise import repeats
 from hilbench.plant.hysteresis import LEAST_PRESLIDING, friction_directions
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 #: Sliding lengths that are tried: the ratio of one to the next, the longest as a share of the travel of the axis, and
 #: how long the shortest takes at a usual reversal, in periods of the band; plays beside each, in that length.

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.noise import rms
@@ -16,8 +17,6 @@ from hilbench.diagnosis.terms import Place, Term
 from hilbench.plant.effect import Domain, Effect, MachineSizes, ProbeOver, Section
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.parameters import ModelParameters
-
-Array = NDArray[np.float64]
 
 #: Peaks of a spectrum, and times of a step, that are proposed.
 _PEAKS: Final = 2

@@ -15,9 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.noise import rms
-
-Array = NDArray[np.float64]
 
 _BINS: Final = 12
 _ANGLE_BINS: Final = 24

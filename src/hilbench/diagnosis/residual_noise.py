@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtrit
 
-Array = NDArray[np.float64]
+from hilbench.arrays import Array
 
 #: Share of a line of the spectrum that a fit takes at most: of one that it takes whole nothing is known.
 _MOST_TAKEN: Final = 0.95

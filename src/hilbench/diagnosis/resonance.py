@@ -17,8 +17,8 @@ from itertools import groupby, pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.measured_rules import is_in_known_band, least_share
@@ -28,8 +28,6 @@ from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.stretched_problem import basis, without
 from hilbench.diagnosis.terms import Place, Term, parts
 from hilbench.plant.effect import Domain, ProbeOver
-
-Array = NDArray[np.float64]
 
 #: Lines of the spectrum by which a resonance has to be seen at least.
 _LEAST_LINES: Final = 4.0

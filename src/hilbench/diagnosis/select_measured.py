@@ -23,6 +23,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.fit_with_residual_noise import fitted, stated_uncertainty, uncertainty_of
 from hilbench.diagnosis.measured_rules import (
@@ -50,8 +51,6 @@ from hilbench.diagnosis.side_bands import NEAR, SideBands, is_near_present, orde
 from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.stretched_problem import StretchedProblem, basis, own_share, without
 from hilbench.diagnosis.terms import RANK, Key, Place, Term, parts, strength_parts
-
-Array = NDArray[np.float64]
 
 #: The same beside what the prediction may be off by: of less its 95 % interval has no neutral value.
 _NEUTRAL_IN_INTERVAL: Final = 0.05

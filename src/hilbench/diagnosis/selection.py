@@ -6,13 +6,11 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.terms import Key, Place, Term
-
-Array = NDArray[np.float64]
 
 
 @dataclass

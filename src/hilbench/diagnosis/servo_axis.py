@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.axis_free_run import AxisFreeRun
 from hilbench.diagnosis.coupling import Arm
-from hilbench.diagnosis.machines import AnyEmulation, Array
+from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion, coupled_motion
 from hilbench.diagnosis.predictor import RECORDED_COMMANDS, Choice, is_cycle

@@ -6,15 +6,13 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.stretched_problem import spanning
 from hilbench.diagnosis.terms import Term
-
-Array = NDArray[np.float64]
 
 #: Orders or frequencies from a present one up to which others are its side bands; how many of them on either side.
 NEAR: Final = 0.5

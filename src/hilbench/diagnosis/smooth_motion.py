@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hilbench.arrays import Array
 
 #: Length of a root-raised-cosine filter to either side, in rows that it leaves, and its roll-off.
 _HALF_LENGTH = 10

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.noise import ORDER, Whitening, scaling, whitening
@@ -17,7 +18,6 @@ from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
 from hilbench.plant.model_file import Machine
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 #: Blocks a recording is cut into; every third is held out, so that each regime is on both sides. Which thirds are

@@ -13,12 +13,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array, Rows
 from hilbench.diagnosis.residual_analysis import Condition
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 #: Most terms of a law; share of the held-out sum of squares by which each must lower it, and the law as a whole.
 _MOST, _EACH, _ALL = 4, 0.02, 0.1

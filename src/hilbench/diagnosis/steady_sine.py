@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hilbench.arrays import Array
 
 #: Share of the speed's square that a sine has to explain; of a triangle the best one explains 0.986.
 _PURE: Final = 0.995

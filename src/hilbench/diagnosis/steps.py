@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.fit import TIME_SEARCH, Fit, OnsetResponses, fit, sums, with_best_time
 from hilbench.diagnosis.noise import Whitening
@@ -26,8 +27,6 @@ from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.stretched_problem import StretchedProblem
 from hilbench.diagnosis.terms import Key, Place, Term
 from hilbench.plant.effect import Effect, Section
-
-Array = NDArray[np.float64]
 
 #: Candidates (and pairs of them) that are fitted in full at a step.
 _CONTENDERS, _PAIRS = 4, 2

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hilbench.arrays import Array
 
 #: Contiguous stretches, each of which is predicted from the others.
 STRETCHES: Final = 8

@@ -13,15 +13,13 @@ from math import atan2, cos, hypot, sin
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.plant.effect import Effect, ProbeOver, Section
 from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
-
-Array = NDArray[np.float64]
 
 _PHASE = "phase_rad"
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.diagnosis import Diagnosis
 from hilbench.diagnosis.measured import Measured
@@ -15,7 +15,6 @@ from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.emulation import Emulation
 from hilbench.plant.web_line.parameters import ModelParameters
 
-Array = NDArray[np.float64]
 #: Times of the rows (n,), s; times of the corners, s; from there on speed in m/s and set-point in N (None: the usual).
 Profile = tuple[Array, Sequence[float], Sequence[float], Sequence[float | None]]
 

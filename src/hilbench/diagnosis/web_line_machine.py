@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from hilbench.diagnosis.machines import AnyEmulation, Array, is_lone
+from hilbench.arrays import Array
+from hilbench.diagnosis.machines import AnyEmulation, is_lone
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.predictor import RECORDED_COMMANDS, Choice, is_cycle

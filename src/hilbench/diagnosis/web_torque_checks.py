@@ -10,13 +10,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array, Rows
 from hilbench.diagnosis.smooth_motion import smoothed
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.line_inverse import required_torques
 from hilbench.plant.web_line.parameters import ModelParameters
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 #: Corner up to which torque and acceleration are compared, Hz, rows of that, how many of them from the ends, and least
 #: number of them.

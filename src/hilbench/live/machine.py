@@ -7,16 +7,13 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array, Rows
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured
 from hilbench.live.window import Window
 from hilbench.plant.model_file import Machine
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 #: Cycles of a mean of a gap.
 SHORT: Final = 10

@@ -19,11 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from hilbench.arrays import Array, Rows
 from hilbench.plant.sample_coherence import cycles_elapsed, play
 from hilbench.topology.signal_kinds import TIME
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 Cycles = NDArray[np.int64]
 
 #: Signals that the drives measure; all others are commands, or the twin's.

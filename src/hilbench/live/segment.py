@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.noise import rms
 from hilbench.diagnosis.predictor import Predictor, choice, deviations_of, torques_of
 from hilbench.live.machine import LiveMachine
 from hilbench.live.window import Window
 from hilbench.plant.model_file import Machine
-
-Array = NDArray[np.float64]
 
 #: Share of its noise by which the gap of a torque is smaller, at least, with a changed model.
 _SHOWS: Final = 0.02

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array, Rows
 from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.errors import UnusableInputError
@@ -23,9 +23,6 @@ from hilbench.plant.servo_axis.shaft import look
 from hilbench.plant.servo_axis.sizes import machine_sizes
 from hilbench.plant.web_line.inverse import required_torque_Nm
 from hilbench.topology.config import BenchConfig
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 #: Effects that are a change of the inertia.
 _OF_INERTIA: Final = ("inertia_mismatch", "inertia_step")

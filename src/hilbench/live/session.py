@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array, Rows
 from hilbench.bench.reports.diagnosis_updates import (
     CHUNK_CYCLES,
     DiagnosisAnswer,
@@ -41,9 +41,6 @@ from hilbench.live.window import Window
 from hilbench.plant.model_file import Machine
 from hilbench.topology.live_config import LiveDiagnosisConfig
 from hilbench.twin.model_switch import with_effects
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 #: From the first piece that parts until the transient of what happened is over, s.
 _SETTLED_S: Final = 1.0

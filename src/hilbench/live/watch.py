@@ -7,14 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array, Rows
 from hilbench.diagnosis.noise import floor
 from hilbench.live.machine import SHORT, LiveMachine
 from hilbench.plant.model_file import Machine
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 #: Pieces in a row that have to part, so that a passing transient is none; pieces that the noise is learned from, and
 #: how many make it known: one of 25 means is off by a fifth, and up to half, and what parts is not learned from.

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.measured import Measured
@@ -26,8 +26,6 @@ from hilbench.plant.web_line.line import elasticity_factor
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
 from hilbench.topology.config import BenchConfig
-
-Array = NDArray[np.float64]
 
 _SHIFT: Final = "elasticity_shift"
 _SHARE: Final = "relative_change"

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array, Rows
 from hilbench.compiled import record_at
 from hilbench.diagnosis.web_line.free_run import remembered_m
 from hilbench.live.machine import SHORT
@@ -22,9 +22,6 @@ from hilbench.plant.web_line.driving_force import driving_force_N
 from hilbench.plant.web_line.layout import Layout
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 #: Cycles after one in which the plant was not measured in which what is emulated still catches up.
 _CATCHES_UP = 4

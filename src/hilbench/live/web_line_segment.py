@@ -6,8 +6,8 @@ import re
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array, Rows
 from hilbench.diagnosis.measured import Before, Measured, measured_from
 from hilbench.diagnosis.predictor import choice, deviations_of
 from hilbench.diagnosis.web_line.free_run import remembered_m
@@ -19,9 +19,6 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.emulation import Emulation
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 #: For how long before a start a candidate follows the web at least, and for how long before that the model, s; and
 #: for how many lengths of the longest span the candidate.

@@ -6,13 +6,10 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array, Rows
 from hilbench.live.plant_rows import OnPlantTime, PlantRows
 from hilbench.results.recording import Recording
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.bool_]
 
 
 class Window:

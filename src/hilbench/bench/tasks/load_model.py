@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Vector
 from hilbench.cycle_program import CompiledStage
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
@@ -20,7 +21,6 @@ from hilbench.plant.measured_motion import FollowsInStep, HasFollowed, MeasuredM
 from hilbench.plant.parameters import EffectEntry
 from hilbench.topology.quantities import EffectPath, is_simple_path, parse_effect_path
 
-Vector = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 

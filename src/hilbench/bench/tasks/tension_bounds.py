@@ -20,13 +20,11 @@ A violation shorter than `PERSISTS_S` is not reported: so long a twin may search
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Vector
 from hilbench.compiled import Record, Records, compiled, record_type
 from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.web_line import laws, records
-
-Vector = NDArray[np.float64]
 
 #: Blocks in a mean; the newer and the older half of them have to agree that something is beyond.
 BLOCKS, _HALF = 10, 5

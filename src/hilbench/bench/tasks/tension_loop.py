@@ -17,6 +17,7 @@ from math import exp, inf, log, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Matrix
 from hilbench.bench.tasks.emulated_web import emulated_web
 from hilbench.bench.tasks.web_entering_strain import strains_around
 from hilbench.compiled import record_at
@@ -27,8 +28,6 @@ from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.emulation import lead_s
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.config import BenchConfig
-
-Matrix = NDArray[np.float64]
 
 #: A current loop is never faster than this in the model (an ideal one would make the matrices singular).
 _FASTEST_S = 1e-6

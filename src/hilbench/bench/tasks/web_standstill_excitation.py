@@ -13,12 +13,10 @@ from math import cos, nan, pi
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.sample import CycleSample
-
-Array = NDArray[np.float64]
 
 #: Of forth, and of back; of the change of speed in between.
 _HALF_S, _EDGE_S = 0.4, 0.04

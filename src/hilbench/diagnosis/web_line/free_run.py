@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from hilbench.arrays import Array
 from hilbench.compiled import record_at
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Before, Measured
 from hilbench.diagnosis.noise import floor
@@ -27,8 +28,6 @@ from hilbench.plant.web_line.offline import Simulation, simulate, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import section_model
 from hilbench.plant.web_line.sizes import machine_sizes
-
-Array = NDArray[np.float64]
 
 #: Speed from which a recording counts as begun in motion.
 _MOVES_M_S: Final = 10.0 * FRICTION_WIDTH_M_S

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.noise import NORMAL_95
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
-
-Array = NDArray[np.float64]
 
 #: What is slower than this, s, is not looked at: an offset of the torque is no gain.
 _WINDOW_S: Final = 2.0

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.arrays import Array
 from hilbench.diagnosis.machines import Nm_per_acceleration
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.noise import floor
@@ -27,8 +28,6 @@ from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.line_inverse import RequiredTorques, required_torques
 from hilbench.plant.web_line.parameters import ModelParameters
-
-Array = NDArray[np.float64]
 
 #: How long before and after a standstill rows are left out, s.
 _NEAR_S: Final = 0.05
