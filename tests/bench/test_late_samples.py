@@ -54,6 +54,14 @@ def test_late_samples_are_counted_by_participant_and_told(tmp_path: Path) -> Non
     assert tension.max() < 90.0
 
 
+def test_a_load_model_without_positions_of_one_instant_ends_the_run_and_says_so(tmp_path: Path) -> None:
+    with late(1.0, AXIS2, from_cycle=500):
+        outcome = run(tmp_path)
+    assert outcome.exit_code == 3
+    (fault,) = outcome.result.faults
+    assert "the load model has held its torques for 1.0 s" in fault.text
+
+
 def test_a_twin_that_is_a_cycle_late_is_counted_and_the_loop_stays_closed(tmp_path: Path) -> None:
     with late(0.5, TWIN, from_cycle=150):
         outcome = run(tmp_path)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from math import nan
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hilbench.plant.sample_coherence import OwnIncrements, SampleCoherence, play
 
@@ -51,6 +53,52 @@ def test_a_line_that_speeds_up_from_rest_is_followed() -> None:
     pairing = SampleCoherence(1e-5)
     travels = [5.0 * (0.002 * cycle) ** 2 / 2.0 for cycle in range(400)]
     assert all(pairing.update(way, 1.0005 * way) for way in travels)
+
+
+def test_a_film_whose_rollers_differ_is_followed_after_samples_that_were_sent_twice() -> None:
+    """Rollers of a film at 3 m/s and 10 ms differ by 0.2 %; a busy machine sends samples of 3, 0, 0, 4, 0 cycles."""
+    pairing = SampleCoherence(2e-4)
+    cycles, refused = 0, 0
+    for gone in [1] * 20 + [0, 3, 0, 0, 4, 0] + [1] * 10:
+        cycles += gone
+        refused = 0 if pairing.update(1.002 * 0.03 * cycles, 0.03 * cycles) else refused + 1
+    assert refused == 0
+
+
+#: What comes of a stretch of cycles: nothing; the same sample again; that of an axis again.
+NOTHING, ALL_OLD, FIRST_OLD, SECOND_OLD = range(4)
+
+
+@given(
+    st.lists(st.tuples(st.integers(3, 60), st.integers(1, 14), st.sampled_from(range(4))), min_size=1, max_size=12),
+    st.floats(0.0, 0.03),
+    st.sampled_from([(0.03, 2e-4), (0.003, 2e-4), (0.006, 2e-5), (0.0002, 2e-5)]),
+)
+def test_what_comes_late_is_refused_and_what_follows_is_accepted(
+    stretches: list[tuple[int, int, int]], draw: float, way: tuple[float, float]
+) -> None:
+    of_a_cycle_m, least_m = way
+    pairing, cycle = SampleCoherence(least_m), 0
+    for _ in range(600):
+        cycle += 1
+        assert pairing.update((1.0 + draw) * of_a_cycle_m * cycle, of_a_cycle_m * cycle)
+    for quiet, count, what in stretches:
+        before = cycle
+        for k in range(count):
+            cycle += 1
+            first = before if what in (ALL_OLD, FIRST_OLD) else cycle
+            second = before if what in (ALL_OLD, SECOND_OLD) else cycle
+            if what == NOTHING:
+                pairing.miss()
+            else:
+                accepted = pairing.update((1.0 + draw) * of_a_cycle_m * first, of_a_cycle_m * second)
+                assert accepted <= (first == second), k
+        refused = 0
+        for _ in range(quiet):
+            cycle += 1
+            refused += not pairing.update((1.0 + draw) * of_a_cycle_m * cycle, of_a_cycle_m * cycle)
+        assert refused <= 20
+        assert refused < quiet or quiet <= 20
 
 
 CYCLE_S = 0.003

@@ -65,7 +65,8 @@ def elapsed_s(m: Record, travels: Vector, positions: Vector, speeds: Vector, lat
         return float(elapsed * m.cycle_s)
     m.behind += 1.0
     if late:
-        record_in(travels, 0, COHERENCE).cycles += 1.0
+        pairs = record_in(travels, 0, COHERENCE)
+        pairs.cycles, pairs.since = pairs.cycles + 1.0, pairs.since + 1.0
         return 0.0
     if not coherent(travels, positions, m.least_travel):
         return 0.0
@@ -162,6 +163,14 @@ class MeasuredMotion:
     def ahead_s(self) -> float:
         """Time by which the machine has to be predicted."""
         return _ahead(self._state)
+
+    @property
+    def unfollowed_s(self) -> float:
+        """Time since there were positions of one instant."""
+        travels = self.vectors.travels
+        own = self._state.own
+        cycles = record_at(travels, OWN).since if own else record_at(travels, COHERENCE).cycles
+        return float(cycles * self._state.cycle_s)
 
 
 class HasFollowed(Enum):

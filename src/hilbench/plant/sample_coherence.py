@@ -26,8 +26,14 @@ from hilbench.compiled import (
 
 #: Largest difference of the rollers' travels at one instant, as a share of a cycle's travel.
 _ALIKE = 0.3
-#: Largest ratio of a cycle's travel to that of the previous one: more is the travel of uncounted cycles.
+#: Largest ratio of a cycle's travel to that of the previous one, either way: more is the travel of uncounted cycles,
+#: less that of a sample sent twice.
 _LONGER = 1.5
+#: Share of a new ratio of an axis's travel to that of all, and the travel, in least travels, from which on it has so
+#: much weight: an average of twenty cycles, in each of which an encoder is off by less than a thirtieth of this.
+_NEW_RATIO, _SHOWS_RATIO = 0.05, 30.0
+#: Largest difference of such a ratio from 1: no web bears a draw so large.
+_LARGEST_DRAW = 0.1
 #: Beyond any acceleration of a line.
 _FASTEST_M_S2 = 100.0
 #: Further divergence of the axes of one machine allowed per cycle, in those plays.
@@ -39,41 +45,66 @@ _RUNNING_PER_S2 = {"m": 20.0, "rad": 2e3}
 #: Most successive cycles refused because the axes' travels give different numbers of cycles.
 _MOST_REFUSED = 5
 
-#: State of `coherent`, before the last positions (N,): cycles since these were coherent, the travel of a cycle (below
-#: 0: unknown), incoherent cycles, whether there are positions.
-COHERENCE: Final = record_type("cycles", "travel", "unpaired", "started")
+#: State of `coherent`, before the positions (N,) that were last coherent, the last ones, and the ratio of each axis's
+#: travel to that of all: cycles since the first, and since the second; the travel of a cycle (below 0: unknown);
+#: incoherent cycles; whether there are positions.
+COHERENCE: Final = record_type("cycles", "since", "travel", "unpaired", "started")
 _LAST: Final = COHERENCE.itemsize // 8
 
 
 def coherence_state(rollers: int) -> Vector:
     """Initial state of `coherent` for so many rollers."""
-    state: Vector = np.zeros(_LAST + rollers)
+    state: Vector = np.zeros(_LAST + 3 * rollers)
+    state[_LAST + 2 * rollers :] = 1.0
     record_at(state, COHERENCE).travel = -1.0
     return state
+
+
+@compiled
+def _learn_ratios(ratios: Vector, positions: Vector, last: Vector, least_travel: float) -> None:
+    """Learn the ratio of each axis's travel to that of all from coherent positions: rollers differ by the draw."""
+    total = 0.0
+    for k in range(len(positions)):
+        total += abs(positions[k] - last[k])
+    mean = total / len(positions)
+    if mean == 0.0:
+        return
+    share = _NEW_RATIO * min(mean / (_SHOWS_RATIO * least_travel), 1.0)
+    for k in range(len(positions)):
+        ratio = ratios[k] + share * (abs(positions[k] - last[k]) / mean - ratios[k])
+        ratios[k] = min(max(ratio, 1.0 - _LARGEST_DRAW), 1.0 + _LARGEST_DRAW)
 
 
 @entry_point(VECTOR, VECTOR, REAL, allocates=False)
 def coherent(state: Vector, positions: Vector, least_travel: float) -> bool:
     """True if positions (N,) are of one instant; see `SampleCoherence`."""
-    c, last = record_in(state, 0, COHERENCE), state[_LAST:]
+    c, n = record_in(state, 0, COHERENCE), len(positions)
+    last, previous, ratios = state[_LAST : _LAST + n], state[_LAST + n : _LAST + 2 * n], state[_LAST + 2 * n :]
     c.cycles += 1.0
+    c.since += 1.0
+    longest, shortest, step, total = -np.inf, np.inf, 0.0, 0.0
+    for k in range(n):
+        travel = (positions[k] - last[k]) / ratios[k]
+        total += positions[k]
+        longest, shortest = max(longest, travel), min(shortest, travel)
+        step = max(step, abs(positions[k] - previous[k]))
+    if not np.isfinite(total):
+        c.unpaired += 1.0
+        return False
     if c.started != 0.0:
-        longest, shortest, total = 0.0, np.inf, 0.0
-        for k in range(len(positions)):
-            travel = abs(positions[k] - last[k])
-            total += travel
-            if travel > longest:
-                longest = travel
-            if travel < shortest:
-                shortest = travel
-        travel = longest / c.cycles
+        travel = step / c.since
         if c.travel >= 0.0:
-            travel = min(travel, max(_LONGER * c.travel, least_travel))
-        if not np.isfinite(total) or longest - shortest > max(least_travel, _ALIKE * travel):
+            travel = min(max(travel, c.travel / _LONGER), max(_LONGER * c.travel, least_travel))
+        c.travel = travel
+    for k in range(n):
+        previous[k] = positions[k]
+    c.since = 0.0
+    if c.started != 0.0:
+        if longest - shortest > max(least_travel, _ALIKE * c.travel):
             c.unpaired += 1.0
             return False
-        c.travel = travel
-    for k in range(len(positions)):
+        _learn_ratios(ratios, positions, last, least_travel)
+    for k in range(n):
         last[k] = positions[k]
     c.started, c.cycles = 1.0, 0.0
     return True
@@ -185,9 +216,9 @@ _increments_steadily = interpreted(increments_steadily)
 class SampleCoherence:
     """Coherence check: compares the travels of all axes since their positions were last of one instant.
 
-    Travels that differ by no more than `least_travel` (m, or rad of a rotary machine) are alike. Accepted positions are
-    the reference of all later ones: if they were not coherent, none will ever be. So after a pause, in which travels
-    grow long, they may differ by no more than before it.
+    Travels that differ by no more than `least_travel` (m, or rad of a rotary machine) are alike, beside the draw of the
+    web, which is learned. Accepted positions are the reference of all later ones: if they were not coherent, none will
+    ever be. So after a pause, in which travels grow long, they may differ by no more than before it.
     """
 
     def __init__(self, least_travel: float) -> None:
@@ -202,11 +233,12 @@ class SampleCoherence:
     def reset(self) -> None:
         """Accept the next positions unchecked."""
         state = record_at(self._state, COHERENCE)
-        state.cycles, state.travel, state.started = 0.0, -1.0, 0.0
+        state.cycles, state.since, state.travel, state.started = 0.0, 0.0, -1.0, 0.0
 
     def miss(self) -> None:
         """Count a cycle without positions of its own."""
-        record_at(self._state, COHERENCE).cycles += 1.0
+        state = record_at(self._state, COHERENCE)
+        state.cycles, state.since = state.cycles + 1.0, state.since + 1.0
 
     def vectors(self, rollers: int) -> tuple[Vector, Vector]:
         """State of `coherent` for so many rollers, and their positions (N,): for compiled callers."""

@@ -57,6 +57,8 @@ from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 #: Age of the twin's data, in cycles, up to which a line without tension control rides it out.
 _TWIN_AGE = TensionControlConfig().twin_age_limit_cycles
+#: Longest time for which load torques are held, s: a span of web at walking speed passes through in it.
+_LONGEST_HOLD_S = 1.0
 #: Cycles between two checks for an open tension loop.
 _LOOK_CYCLES = 50
 
@@ -436,12 +438,21 @@ class WebLoadTask(LoadTask):
             self.follow(sample, self._positions(sample), self._speeds(sample), late=late)
         if followed is not HasFollowed.ALL:
             self._show(sample)
+            self._check_held(sample)
         self._push(sample)
 
     def _push(self, sample: CycleSample) -> None:
         """Set the forces on the carriages as commanded."""
         for signal, name in self._forces:
             self.model.set_value(name, getattr(sample, signal))
+
+    def _check_held(self, sample: CycleSample) -> None:
+        """Raise BenchFaultError where the load torques have been held for long: the emulated web no longer follows."""
+        if (held_s := self.model.held_s) >= _LONGEST_HOLD_S:
+            raise BenchFaultError(
+                f"t = {sample.t_s:.3f} s: the load model has held its torques for {held_s:.1f} s, as there were no "
+                "measured positions of all axes of one SYNC"
+            )
 
     def _show(self, sample: CycleSample) -> None:
         true = self.model.outputs()
@@ -453,6 +464,7 @@ class WebLoadTask(LoadTask):
 
         def fallback(_: HasFollowed) -> bool:
             self._show(sample)
+            self._check_held(sample)
             return True
 
         piece = self.model.piece(sample.reals, self._at, fallback)

@@ -118,6 +118,11 @@ class LoadModel:
         in_step = self._in_step
         return self._running and self._is_ahead and in_step is not None and in_step.usable and in_step.is_shown
 
+    @property
+    def held_s(self) -> float:
+        """Time for which the torques have been held, as samples are late or their positions not of one instant."""
+        return self._motion.unfollowed_s
+
     def outputs(self) -> Sequence[float]:
         """The truth after a cycle, in the order of the machine's description."""
         true = self.machine.outputs()
