@@ -231,9 +231,9 @@ def test_other_methods_hold_E_for_five_minutes(method: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [891, 1336])
+@pytest.mark.parametrize("seed", [891, 1336, 2374, 5008])
 def test_a_large_step_of_e_beside_an_accumulator_is_no_slip(seed: int) -> None:
-    """-32 and -25 % at 44 s: the web and its carriage swing."""
+    """-32, -25, -34 and +24 % at 44 s: the web and its carriage swing."""
     outcome = run_shift(MACHINES["winding_line"], 46.0 / 3600.0, seed=seed)
     assert outcome.notices == ()
     assert abs(outcome.worst_pct or 0.0) < LARGEST_PCT

@@ -19,7 +19,7 @@ def unknowns(rate_N_per_m: float = 0.0) -> AugmentedFilter:
     """The parameter first; the state changes with the way of the web by so much."""
     start, parameters = np.diag([_PARAMETER**2, _STATE_N**2]), np.array([True, False])
     rates = np.array([0.0, rate_N_per_m])
-    return AugmentedFilter(start, parameters, rates, np.array([_OFFSET_N]), np.zeros(1), np.zeros(1), np.zeros(1))
+    return AugmentedFilter(start, parameters, rates, np.array([_OFFSET_N]), *(np.zeros(1) for _ in range(4)))
 
 
 def let_pass(filtered: AugmentedFilter, windows: int, travel_m: float = 0.0) -> None:

@@ -39,8 +39,8 @@ class AugmentedFilter:
 
     `start` (n, n): initial covariance; `parameters` (n,): which unknowns are parameters; `rates` (n,): deviations of
     their change per m, 0 without; `offsets` (m,): deviations of slow measurement errors; `transient_shares` (m,): share
-    of a change's innovations that counts as measurement error of the transient; `transient_decay` (m,): share of that
-    left per update; `transients` (m,): its initial deviation.
+    of a change's innovations that counts as measurement error of the transient, and `most_transient` (m,) of them;
+    `transient_decay` (m,): share of that left per update; `transients` (m,): its initial deviation.
     """
 
     def __init__(
@@ -50,6 +50,7 @@ class AugmentedFilter:
         rates: Vector,
         offsets: Vector,
         transient_shares: Vector,
+        most_transient: Vector,
         transient_decay: Vector,
         transients: Vector,
     ) -> None:
@@ -71,7 +72,8 @@ class AugmentedFilter:
         self._before = np.zeros((2, len(offsets)))  # innovations less the expected ones, the latest last
         #: True if the innovations were far off for the second time: a sudden change.
         self.has_changed = False
-        self._transient_shares, self._transient_decay, self._transients = transient_shares, transient_decay, transients
+        self._transient_shares, self._most_transient = transient_shares, most_transient
+        self._transient_decay, self._transients = transient_decay, transients
 
     @property
     def has_begun_to_change(self) -> bool:
@@ -207,7 +209,7 @@ class AugmentedFilter:
         self._before = np.array([self._before[1], left])
         if self.has_changed:
             self.jump(*jumps)
-            self._transients = self._transient_shares * np.abs(left)
+            self._transients = np.minimum(self._transient_shares * np.abs(left), self._most_transient)
             variances = variances + self._transients**2
             spread = known @ self.covariance @ known.T + np.diag(variances)
             self._far_off = 0

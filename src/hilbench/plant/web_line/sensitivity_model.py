@@ -231,6 +231,10 @@ class SensitivityModel:
         """Index of a carriage's position in the integrated quantities."""
         return self._rollers + number - 1
 
+    def position_m(self, carriage: int) -> float:
+        """Position of a carriage, from 1."""
+        return float(self.copies.motions[0, self.carriage_row(carriage)])
+
     def modulus_factor(self, axis: int) -> float:
         """Factor on E of the section after an axis."""
         place = self._place_of_modulus.get(axis)

@@ -40,7 +40,7 @@ _PULLS, _AGREES, _AGREES_AGAIN = 0.25, 0.1, 1.0
 _REEL_SHARE: Final = 5e-4
 #: Share of the usual tension that may accelerate the rollers in the slip detection: the model's accuracy.
 _ACCELERATES: Final = 0.2
-#: Settling time of the simulated line's tensions.
+#: Settling time of the simulated line's tensions, and of a carriage that oscillates.
 _SETTLED_S: Final = 0.5
 #: Travel of a block of the slip detection, in section lengths: that of 20 ms on a span of 1 m at 3 m/s.
 _BLOCK_SHARE: Final = 0.06
@@ -69,7 +69,7 @@ class _Section:
         self.slack, self._doubt_s = False, 0.0
         self.belied_since_s = inf  #: latest time at which the encoders' tension agreed, where it does not
         self._belied = False  # in the previous block
-        self._apart_s = 0.0  # for how long they have not agreed
+        self._apart_s = self._agrees_s = 0.0  # for how long they have not agreed but for moments, and have agreed
         self._agreed_s = self._agreed_m = 0.0  # travel of the web since they agree again
         self.is_N: float | None = None  #: tension by the torques of the last block
         self.carried_m: float | None = None  #: length with a carriage, at the last evaluation
@@ -160,7 +160,9 @@ class _Section:
         if agrees and self.belied_since_s == inf:
             self._agreed_s = began_s
         self._agreed_m = self._agreed_m + abs(travel_m or 0.0) if agrees else 0.0
-        self._apart_s = 0.0 if agrees else self._apart_s + lasted_s
+        self._agrees_s = self._agrees_s + lasted_s if agrees else 0.0
+        apart = not agrees or (self._apart_s > 0.0 and self._agrees_s < _SETTLED_S)
+        self._apart_s = self._apart_s + lasted_s if apart else 0.0
         if self._agreed_m > _AGREES_AGAIN * self.length_m:
             self.belied_since_s = inf
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import copysign, exp, hypot, inf, sqrt
+from math import copysign, exp, hypot, inf, isfinite, nan, sqrt
 from typing import Final
 
 import numpy as np
@@ -62,10 +62,12 @@ _LEAST_NOISE_SHARE: Final = 1e-3  #: of a window: oscillating idlers are no whit
 #: Of a limit, or of the tension at a load cell, at first: the line is released in another state than the real one, and
 #: oscillates; and for how long.
 _SWING_SHARE, _SWING_S = 0.2, 0.05
-#: After a change of the web: of torques and tensions that show it, and for how long; other sensors have none.
+#: After a change of the web: of torques and tensions that show it, and for how long.
 _CHANGE_OSCILLATION_SHARE, _CHANGE_OSCILLATES_S = 0.3, 0.13
-#: The same of torques next to a section with a carriage, which oscillates against its web.
+#: The same of torques next to a section with a carriage, which oscillates against its web, and of its position: with
+#: less E beside it is taken from the oscillation, with more a slip for E.
 _TRANSIENT_OSCILLATION_SHARE, _TRANSIENT_OSCILLATES_S = 1.0, 0.3
+_CARRIAGE_OSCILLATION_SHARE: Final = 0.5
 _TRANSIENT_SHARE: Final = 0.03  #: of a limit, of these at first
 _INERTIA_SHARE: Final = 0.05  #: of the accelerating torque
 #: Change of a section's strain while a web slips, over that of the entering web.
@@ -219,11 +221,11 @@ class LineFilter:
         at = np.ix_(self._is_modulus, self._is_modulus)
         jumps = self._moduli_apart(_JUMP_SHARE, _SECTION_JUMP_SHARE)
         self._jumps, self._drifts = jumps[at], drifts[at]
-        seen_in_tension = np.concatenate([np.ones(len(self._axes), bool), self._sensors.tensions_N > 0.0])
-        disturbed = np.concatenate([self._beside_carriages, np.zeros(len(self._sensors.tensions_N), bool)])
-        swings = np.where(
-            seen_in_tension, np.where(disturbed, _TRANSIENT_OSCILLATION_SHARE, _CHANGE_OSCILLATION_SHARE), 0.0
-        )
+        of_carriages = self._sensors.of_carriages
+        disturbed = np.concatenate([self._beside_carriages, of_carriages])
+        of_torques = np.where(self._beside_carriages, _TRANSIENT_OSCILLATION_SHARE, _CHANGE_OSCILLATION_SHARE)
+        of_sensors = np.where(self._sensors.tensions_N > 0.0, _CHANGE_OSCILLATION_SHARE, 0.0)
+        swings = np.concatenate([of_torques, np.where(of_carriages, _CARRIAGE_OSCILLATION_SHARE, of_sensors)])
         swings_on = np.exp(
             -self._window * self._cycle_s / np.where(disturbed, _TRANSIENT_OSCILLATES_S, _CHANGE_OSCILLATES_S)
         )
@@ -235,8 +237,9 @@ class LineFilter:
         for place, unknown in enumerate(self.sensitivities.unknowns):
             if unknown.kind is Kind.RADIUS:
                 rates[place] = _THICKNESS_SHARE * abs(self.sensitivities.slopes_per_m[unknown.number])
+        most = np.concatenate([np.full(len(self._axes), inf), self._sensors.most_oscillation])
         self._filter = AugmentedFilter(
-            believed + moduli, self._is_modulus, rates, self._offsets, swings, swings_on, swinging
+            believed + moduli, self._is_modulus, rates, self._offsets, swings, most, swings_on, swinging
         )
         self._set_growth()
         for state, limit_Nm in zip(self.arrays.noise, self._limits_Nm, strict=True):
@@ -248,7 +251,7 @@ class LineFilter:
         # carriage, which keeps the tension, web enters with a strain that E has made.
         self._state["known_from_m"] = self._web_m if in_motion else 0.0
         self._time_s = 0.0
-        self.arrays.sensed[:] = 0.0
+        self.arrays.sensed[:] = nan
         self._speeds_m_s: Vector | None = None
         self.arrays.loads[:] = 0.0
         self._response.reset()
@@ -318,10 +321,12 @@ class LineFilter:
 
     def sensed_length_m(self, axis: int) -> float:
         """Length of the section after an axis, with its carriages at their sensed positions."""
-        sensed, length_m = zip(self._sensors.sensed, self.arrays.sensed.tolist(), strict=False), 0.0
-        for each, left_m in sensed:
-            length_m += left_m * self.sensitivities.longer_by(each, axis) if each.kind is Kind.CARRIAGE else 0.0
-        return self.sensitivities.length_m(axis) + length_m
+        length_m = self.sensitivities.length_m(axis)
+        for each, sensed_m in zip(self._sensors.sensed, self.arrays.sensed.tolist(), strict=False):
+            if each.kind is Kind.CARRIAGE and isfinite(sensed_m):
+                left_m = sensed_m - self.sensitivities.position_m(each.number)
+                length_m += left_m * self.sensitivities.longer_by(each, axis)
+        return length_m
 
     # -- what the compiled cycle leaves --------------------------------------------------------------------
 

@@ -7,11 +7,13 @@ on both sides of it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
 from typing import Final
 
 import numpy as np
 
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
 from hilbench.plant.web_line.stations import Idler, Reel, reel_name
 from hilbench.twin.machines.web_line_stations_cycle import SENSOR
@@ -46,6 +48,19 @@ class StationSensors:
                 rows.append((radius_m, -1, -1, unknown.number - 1, own))
         rows += [(1.0, -1, row - 1, -1, -1) for row in cells.values()]
         self.rows = np.array(rows, SENSOR)  #: of the compiled cycle
+        #: Whether it is of a carriage's position (s,), and most by which one oscillates when E changes: the web of its
+        #: section is stretched by no more.
+        self.of_carriages = self.rows["carriage"] >= 0.0
+        before = axes_before_spans(model)
+        held = [before[carriage.first_span - 1] for carriage in model.carriages]
+        stretched_m = [
+            model.upstream_strain * sum(model.span_length_m(k) for k, of in enumerate(before, 1) if of == axis)
+            for axis in held
+        ]
+        self.most_oscillation = np.full(len(rows), inf)
+        self.most_oscillation[self.of_carriages] = [
+            stretched_m[unknown.number - 1] for unknown in self.sensed if unknown.kind is Kind.CARRIAGE
+        ]
         stiffness_N = np.array([model.stiffness_N(span) for span in range(1, model.span_count + 1)])
         half, sides = 0.5 * model.upstream_strain, ([row - 1, row] for row in cells.values())
         #: Usual tension at each load cell (s,); 0 for other sensors.

@@ -196,7 +196,7 @@ def _sense(a: StationsArrays, copies: Copies) -> None:
     for s in range(len(v.sensors)):
         sensor = v.sensors[s]
         row, cell = int(sensor.carriage), int(sensor.cell)
-        left = a.values[a.inputs[2 + s]] / sensor.scale
+        left = v.sensed[s] = a.values[a.inputs[2 + s]] / sensor.scale
         if row >= 0:
             left -= motions[0, row]
         elif cell >= 0:
@@ -204,7 +204,6 @@ def _sense(a: StationsArrays, copies: Copies) -> None:
         else:
             left -= copies.ratios[int(sensor.axis)]
             v.slopes[first + s, int(sensor.own)] += 1.0
-        v.sensed[s] = left
         v.sums[first + s] += left
         for i in range(len(v.steps)):
             more = 0.0
