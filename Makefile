@@ -28,13 +28,14 @@ unexport PYTHONDONTWRITEBYTECODE
 setup: $(STAMP)
 
 # uv in the version and with the hash of the lock file installs the rest in a tenth of pip's time; of what is behind a
-# mirror UV_DEFAULT_INDEX tells it. Only what is imported is compiled to bytecode, when it is.
+# mirror UV_DEFAULT_INDEX tells it. Only what is imported is compiled to bytecode, when it is. For a Python newer than
+# the locked numpy it says so, and builds none.
 INSTALL := $(BIN)/uv pip install --quiet --native-tls --python $(BIN)/python
 $(STAMP): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(call pinned,uv) > $(VENV)/uv.txt
 	$(BIN)/python -m pip install --quiet --no-compile --no-deps --require-hashes -r $(VENV)/uv.txt
-	$(INSTALL) --require-hashes -r requirements.lock
+	$(INSTALL) --require-hashes --only-binary numpy -r requirements.lock
 	$(INSTALL) --no-deps --no-build-isolation --editable .
 	touch $@
 
@@ -115,8 +116,9 @@ lint: setup-dev
 	$(BIN)/lint-imports --no-logo --cache-dir .cache/import-linter
 
 # Rewrites both lock files from pyproject.toml: newest versions that its bounds allow, with hashes. What a bench runs on
-# is what the tests need allow: both locks have the same versions.
-LOCK := $(BIN)/uv pip compile --quiet --generate-hashes --extra build --custom-compile-command "make lock" pyproject.toml
+# is what the tests need allow: both locks have the same versions, for the oldest Python as for newer ones.
+LOCK := $(BIN)/uv pip compile --quiet --generate-hashes --python-version 3.11 --extra build \
+    --custom-compile-command "make lock" pyproject.toml
 lock: setup
 	$(LOCK) --upgrade --extra dev --output-file requirements-dev.lock
 	cp requirements-dev.lock requirements.lock

@@ -213,10 +213,7 @@ def test_stored_values_survive_the_process(tmp_path: Path) -> None:
     assert dut.write(0x1010, 1, SAVE, 4) == 0
     again = DeviceUnderTest(tmp_path, store=file).started()
     assert (again.device.cell(0x2000).value, again.device.cell(0x1017).value) == (50, 100)
-    assert [path.name for path in tmp_path.iterdir() if path.name.startswith("device.")] == [
-        "device.eds",
-        "device.json",
-    ]
+    assert sorted(path.name for path in tmp_path.glob("device.*")) == ["device.eds", "device.json"]
 
 
 def test_set_points_are_not_stored(dut: DeviceUnderTest) -> None:
