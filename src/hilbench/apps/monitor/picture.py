@@ -46,6 +46,8 @@ _MISSED = 25
 _HEARTBEATS_MISSED = 4
 #: Share of late answers from which on a participant is shown.
 _WORTH_SHOWING = 0.005
+#: Name of the twin's status among its values.
+_STATUS = "twin_status"
 
 
 @dataclass
@@ -141,16 +143,11 @@ class BusPicture:
     def __post_init__(self) -> None:
         nodes = Nodes(self.config)
         self.trends = trends_of(self.config.machine.kind, self.config.shape)  #: what the twin says
-        self._states = {pdo.cob_id: pdo for pdo in nodes.io.sent if pdo.period == 1}
         contents = zip(nodes.io.sent, nodes.io.data.sent, strict=True)
-        #: How sure that is: PDOs that come seldom, and the names of what they carry.
-        self._quality = {
-            pdo.cob_id: (pdo, [signal.name for signal in content.signals])
-            for pdo, content in contents
-            if pdo.period != 1
-        }
-        #: Their last frames; a batch of frames may end between them and the SYNC after them.
-        self._state_data = dict.fromkeys(self._states, b"")
+        #: What the twin sends, with the names of the values in it; and the last values by these.
+        self._twin = {pdo.cob_id: (pdo, [signal.name for signal in content.signals]) for pdo, content in contents}
+        self._twin[nodes.io.status.cob_id] = nodes.io.status, ["", "", _STATUS]
+        self._said: dict[str, float] = {}
         self._tpdos: dict[int, tuple[NodePicture, Any, tuple[int, ...], DriveUnits]] = {}
         parts = self.config.parts
         self.nodes = {part.name: NodePicture(part.name, part.node.node_id) for part in parts}
@@ -167,8 +164,6 @@ class BusPicture:
             if part.role in (Role.AXIS, Role.LOAD_MOTOR)
         }
         self._answers["virtual_io"] = nodes.io.status.cob_id
-        self._status = nodes.io.status
-        self.model = ""  #: of the twin, where it is another than the configured one
         self._ages = dict.fromkeys(self._answers, 0)
         self.timeliness = Timeliness(tuple(self._answers), self.config.cycle_time_s)
         self._answered: set[int] = set()  # since the last SYNC
@@ -205,34 +200,30 @@ class BusPicture:
             else:
                 self._answered.add(frame.can_id)
                 last[frame.can_id] = frame.data
-                if frame.can_id in self._state_data:
-                    self._state_data[frame.can_id] = frame.data
+                if frame.can_id in self._twin:
+                    self._take_twin(frame)
         self._decode(last)
-        self._look_at_quality(last)
-        status = last.get(self._status.cob_id, b"")
-        if len(status) == self._status.size:
-            self._look_at_model(int(self._status.unpack(status)[2]))
-        if any(len(last.get(cob_id, b"")) == pdo.size for cob_id, pdo in self._states.items()):
-            self._mark_received(self.config.twin.node.node_id, "PDO", _MISSED)
         for node_id, state in nmt_states(heartbeats).items():
             self._mark_received(node_id, "heartbeat", _HEARTBEATS_MISSED * self._heartbeat_cycles)
             self._nmt(node_id, state)
         self._look_for_silence()
 
-    def _look_at_quality(self, last: dict[int, bytes]) -> None:
-        """Take the standard deviations that the twin publishes."""
-        for cob_id, (pdo, names) in self._quality.items():
-            data = last.get(cob_id, b"")
-            if len(data) == pdo.size:
-                stated = dict(zip(names, pdo.unpack(data), strict=True))
-                for trend in self.trends:
-                    if trend.deviation in stated:
-                        trend.stated = float(stated[trend.deviation])
+    def _take_twin(self, frame: Frame) -> None:
+        """Take values of the twin; a batch of frames may end between them and the SYNC after them."""
+        pdo, names = self._twin[frame.can_id]
+        if len(frame.data) == pdo.size:
+            self._said.update(zip(names, pdo.unpack(frame.data), strict=True))
+            if pdo.period == 1 and _STATUS not in names:
+                self._mark_received(self.config.twin.node.node_id, "PDO", _MISSED)
+            for trend in self.trends:
+                trend.stated = self._said.get(trend.deviation, nan)
 
-    def _look_at_model(self, status: int) -> None:
-        """Take the twin's model status (2100h sub 3)."""
-        changing, changed = status & TwinStatus.MODEL_CHANGING, status & TwinStatus.MODEL_CHANGED
-        self.model = "another model is evaluated" if changing else "model with what was found" if changed else ""
+    @property
+    def model(self) -> str:
+        """Model of the twin, where it is another than the configured one (2100h sub 3)."""
+        status = int(self._said.get(_STATUS, 0))
+        changed = "model with what was found" if status & TwinStatus.MODEL_CHANGED else ""
+        return "another model is evaluated" if status & TwinStatus.MODEL_CHANGING else changed
 
     def _mark_received(self, who: int | str, what: str, within_cycles: float) -> None:
         """Note that a message was received. `who`: a node by its id, or a part by its name."""
@@ -280,11 +271,9 @@ class BusPicture:
         self.cycles += 1
         self._bits.append(0)
         self._sync_ns.append(frame.time_ns)
-        whole = all(len(self._state_data[cob_id]) == pdo.size for cob_id, pdo in self._states.items())
-        if self.cycles % self.every == 0 and whole:
-            values = [value for cob_id, pdo in self._states.items() for value in pdo.unpack(self._state_data[cob_id])]
-            for trend, value in zip(self.trends, values, strict=True):
-                trend.values.append(float(value))
+        if self.cycles % self.every == 0 and all(trend.signal in self._said for trend in self.trends):
+            for trend in self.trends:
+                trend.values.append(self._said[trend.signal])
 
     def _look_at_answers(self) -> None:
         """Update the age of each node's answer to SYNC; a node that sends nothing at all is not late."""
