@@ -25,7 +25,7 @@ from hilbench.results.recording import (
     write_recording,
 )
 from hilbench.results.run_folder import RunFolder
-from hilbench.results.spool import Spool, all_rows, read_running
+from hilbench.results.spool import Spool, SpooledPieces, read_running
 from hilbench.runs.metrics import judge
 from hilbench.topology.signals import signals_of, smallest_shapes
 
@@ -73,7 +73,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 @pytest.mark.parametrize("count", [5, BLOCK_ROWS, 3 * BLOCK_ROWS + 100])
 def test_a_kill_costs_no_sample(tmp_path: Path, count: int) -> None:
     subprocess.run([sys.executable, "-c", KILLED, str(tmp_path), str(count), "always"], check=False)
-    pieces = list(all_rows(RunFolder(tmp_path), SIGNALS))
+    pieces = list(SpooledPieces(RunFolder(tmp_path), SIGNALS))
     time_s = np.concatenate([piece["t_s"] for piece in pieces])
     assert np.array_equal(time_s, np.arange(count) * 0.002)
 

@@ -39,12 +39,11 @@ from hilbench.files import usable
 from hilbench.machine_kinds import machine_part
 from hilbench.results.journal import read_journal
 from hilbench.results.junit import write_junit
-from hilbench.results.mdf import MdfPieces
 from hilbench.results.recording import LEAST_SAMPLES, Recording, read_recording, write_pieces, write_recording
 from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.results.result import Environment, Fault, Result, Timing
 from hilbench.results.run_folder import RunFolder
-from hilbench.results.spool import all_rows
+from hilbench.results.spool import SpooledPieces
 from hilbench.results.trace import TraceReader
 from hilbench.runs.config import ExperimentConfig, load
 from hilbench.runs.criteria import evaluate
@@ -123,22 +122,19 @@ class _Ended:
 def _finish_recording(folder: RunFolder, config: ExperimentConfig) -> _Ended:
     """Put what was not written yet into the recording. Raises UnusableInputError where that are less than two
     samples."""
-    left = folder.unfinished_recording
-    samples, bits, last_s = 0, 0, 0.0
+    left, pieces = folder.unfinished_recording, SpooledPieces(folder, config.signals)
+    samples, bits, last_s = pieces.rows, 0, 0.0
+    if samples < LEAST_SAMPLES:
+        raise UnusableInputError(left, f"{samples} sample(s), expected at least {LEAST_SAMPLES}")
 
     def counted() -> Iterator[Mapping[str, NDArray[Any]]]:
-        nonlocal samples, bits, last_s
-        for piece in all_rows(folder, config.signals):
-            samples += len(piece[TIME])
+        nonlocal bits, last_s
+        for piece in pieces:
             bits += int(np.sum(piece["bus_bits"]))
             last_s = float(piece[TIME][-1])
             yield piece
 
-    pieces = MdfPieces(left)
     write_pieces(pieces, counted(), folder.recording)
-    if samples < LEAST_SAMPLES:
-        folder.recording.unlink()
-        raise UnusableInputError(left, f"{samples} sample(s), expected at least {LEAST_SAMPLES}")
     left.unlink()
     for path in folder.waiting_rows():
         path.unlink()
