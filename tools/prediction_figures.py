@@ -30,7 +30,7 @@ from hilbench.bench.prediction.web_line import LineLook
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook
 from hilbench.results.recording import Recording
-from hilbench.results.run import Recorder
+from hilbench.results.recording_builder import Recorder
 from hilbench.runs.config import load_with_overrides
 from hilbench.runs.look_ahead import LookAhead
 from hilbench.topology.sample import CycleSample

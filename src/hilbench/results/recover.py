@@ -219,7 +219,7 @@ def replay_frames(
         found = f"{len(rows)} cycle(s) with enabled drives"
         raise UnusableInputError(place, f"{found}, expected at least {LEAST_SAMPLES}")
     started = datetime.fromtimestamp(first_ns * _NANOSECOND, UTC)
-    recording = rows.build(started, config.description)
+    recording = rows.recording(started, config.description)
     load_pct = 100.0 * bits / (config.bus.bitrate * config.cycle_time_s * count)
     return Recovery(recording, started, missed, load_pct, fault)
 

@@ -26,7 +26,7 @@ from hilbench.errors import BenchFaultError
 from hilbench.files import usable
 from hilbench.results.mdf import MdfPieces, MdfWriter
 from hilbench.results.recording import BLOCK_ROWS, LEAST_SAMPLES, Recording, column_of, read_rows, section_of
-from hilbench.results.recording_builder import RecordingBuilder
+from hilbench.results.recording_builder import Recorder
 from hilbench.results.reduction import STRETCH_S, FullRate, Survey, thinned
 from hilbench.results.run_folder import RunFolder
 from hilbench.topology.signal_kinds import TIME, Signal
@@ -62,8 +62,8 @@ class _Block:
         self.rows.view(np.int64)[:] = _EMPTY
 
 
-class Spool(RecordingBuilder):
-    """Rows of a run in its folder: `append` and `append_packed` as ever, `finish` once.
+class Spool(Recorder):
+    """Rows of a run in its folder: `as of others, `finish` once.
 
     `around_events`: full rate only around what `event` and `alarms` give (times, s), and what the rows show themselves.
     `warn` is called once, where the disk takes no more; the run goes on without recording then.
@@ -89,14 +89,13 @@ class Spool(RecordingBuilder):
         self.warn: Callable[[str], None] = lambda text: None
         self.alarms: Callable[[], Sequence[float]] = tuple
         self._times = _Times(cycle_time_s, [signal.name for signal in signals]) if around_events else None
-        whole = {signal.name for signal in signals if signal.integer}
         columns = [
             column_of(signal.name, np.dtype(np.int64 if signal.integer else np.float64), signal.unit)
             for signal in signals
         ]
         with usable(folder.unfinished_recording, "written", "space in a writable folder"):
             self._writer = MdfWriter(folder.unfinished_recording, columns, started, comment, thinned=around_events)
-            super().__init__([signal.name for signal in signals], BLOCK_ROWS, whole)
+            super().__init__(signals)
         self._thread = Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
 
@@ -108,8 +107,8 @@ class Spool(RecordingBuilder):
         if self._times is not None:
             self._times.add(time_s)
 
-    def build(self, start_time: datetime | None = None, comment: str = "") -> Recording:
-        """Build a recording of what was recorded so far, as it is read from the folder."""
+    def recording(self, start_time: datetime | None = None, comment: str = "") -> Recording:
+        """Recording of what was recorded so far, as it is read from the folder."""
         self._waiting.join()
         if self._folder.recording.exists():
             found = read_rows(self._folder.recording)
