@@ -23,6 +23,7 @@ from hilbench.results.verdict import RunVerdict, verdict_of
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import Changed, Event
 from hilbench.runs.metrics import Judgement, StepFigures
+from hilbench.topology.config import BenchConfig
 from hilbench.twin.estimated_errors import EstimatedModelError
 
 Count = Annotated[int, Field(ge=0)]
@@ -108,6 +109,13 @@ class Timing(_WithOptions):
     lost_frames_of: dict[str, Count | None] | None = None
     late: dict[str, Late] | None = None
     jitter_histogram: Histogram | None = None
+
+    @classmethod
+    def of(cls, config: BenchConfig, cycles: int, missed: int = 0, **known: Any) -> Self:
+        """Timing of a run of a bench; of what is not `known` nobody knows anything."""
+        unknown = dict.fromkeys(("jitter_us", "realtime_factor", "bus_load_pct"))
+        about = {"pace": config.pace, "cycle_us": config.cycle_time_s * 1e6, "cycles": cycles, "missed": missed}
+        return cls.model_validate(unknown | about | known)
 
     def metrics(self) -> dict[str, float | None]:
         """The timing as metrics that criteria can bound."""

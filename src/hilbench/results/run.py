@@ -333,25 +333,16 @@ def measure_timing(bench: Bench, recorded: int) -> Timing:
     where SYNC had a deadline."""
     config, exchange = bench.config, bench.exchange
     if exchange is None:
-        return Timing(
-            pace=config.pace,
-            cycle_us=config.cycle_time_s * 1e6,
-            cycles=0,
-            missed=0,
-            jitter_us=None,
-            realtime_factor=None,
-            bus_load_pct=None,
-        )
+        return Timing.of(config, 0)
     timing = exchange.timing
     bus_s = timing.cycles * config.cycle_time_s
     wall_s = (timing.ended_ns - timing.started_ns) * 1e-9
     lateness_us = np.asarray(exchange.pacing.lateness_ns, float) / 1000.0
     percentiles, histogram = jitter(lateness_us) if config.pace == "realtime" else (None, None)
-    return Timing(
-        pace=config.pace,
-        cycle_us=config.cycle_time_s * 1e6,
-        cycles=recorded,
-        missed=exchange.pacing.missed,
+    return Timing.of(
+        config,
+        recorded,
+        exchange.pacing.missed,
         late_set_points=exchange.pacing.late_set_points if config.pace == "realtime" else None,
         jitter_us=percentiles,
         realtime_factor=bus_s / wall_s if wall_s > 0 else None,

@@ -134,6 +134,13 @@ class CriterionResult(Strict):
         return {name: value for name, value in fields.items() if value or name not in silent}
 
 
+def failed_or_passed(name: str, reason: str = "") -> CriterionResult:
+    """A verdict without a number: failed for a `reason`, passed without one."""
+    return CriterionResult(
+        name=name, value=float(not reason), limit="≥ 1", unit="", passed=not reason, reason=reason or None
+    )
+
+
 def evaluate(
     criteria: Sequence[Criterion], metrics: Mapping[str, float | None], judged: Judgement | None = None
 ) -> list[CriterionResult]:

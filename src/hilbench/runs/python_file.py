@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hilbench.bench.bench import Bench
 from hilbench.errors import BenchFaultError, HilbenchError, UnusableInputError, UnusableValueError
-from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.criteria import CriterionResult, failed_or_passed
 from hilbench.topology.sample import CycleSample
 
 Experiment = Callable[[Bench], Generator[None, CycleSample, None]]
@@ -49,11 +49,11 @@ def run_experiment_function(bench: Bench, path: Path, function: str, judged: lis
         raise
     except AssertionError as error:
         text = f"{_place(path, error)}: {error}".rstrip(": ")
-        judged.append(CriterionResult(name=name, value=0.0, limit="≥ 1", unit="", passed=False, reason=text))
+        judged.append(failed_or_passed(name, text))
     except BaseException as error:  # a SystemExit ends the run as any other does
         raise BenchFaultError(f"{_place(path, error)}: {type(error).__name__}: {error}") from error
     else:
-        judged.append(CriterionResult(name=name, value=1.0, limit="≥ 1", unit="", passed=True))
+        judged.append(failed_or_passed(name))
 
 
 def _place(path: Path, error: BaseException) -> str:

@@ -14,6 +14,7 @@ from hilbench.apps.cli.options import (
     ConfigArgument,
     ForceOption,
     JsonOption,
+    OutOption,
     PaceOption,
     SetOption,
     print_json,
@@ -34,7 +35,7 @@ def commission(
     config: ConfigArgument,
     bus: BusOption = None,
     pace: PaceOption = None,
-    out: Annotated[Path, Option(help="folder in which the run folder is made")] = Path("runs"),
+    out: OutOption = Path("runs"),
     changes: SetOption = None,
     forward_only: Annotated[
         bool,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from hilbench.apps.cli.options import JsonOption, print_json
+from hilbench.apps.cli.options import JsonOption, RunsOption, print_json
 from hilbench.errors import UnusableInputError, printable
 
 if TYPE_CHECKING:
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from hilbench.runs.criteria import CriterionResult
 
 app = typer.Typer(no_args_is_help=True, help="The runs in a folder: list, show, tag, note, trend, matrix, delete, gc.")
-
-RunsOption = Annotated[Path, Option("--runs", metavar="DIR", help="folder with the run folders")]
 
 
 def _option(name: str, kind: Any, option: str, metavar: str | None, help: str) -> Parameter:

@@ -28,7 +28,7 @@ from hilbench.results.recording_builder import Recorder
 from hilbench.results.run import WRITING, RunRecord
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load_with_overrides
-from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.criteria import CriterionResult, failed_or_passed
 from hilbench.runs.events import EventLog
 from hilbench.runs.metrics import Judgement, Metrics, judge
 from hilbench.topology import quantities
@@ -46,13 +46,6 @@ class StepResponse:
     step_time_s: float
     metrics: Metrics
     not_judged: dict[str, str] = field(default_factory=dict)
-
-
-def failed_or_passed(name: str, reason: str = "") -> CriterionResult:
-    """A verdict without a number: failed for a `reason`, passed without one."""
-    return CriterionResult(
-        name=name, value=float(not reason), limit="≥ 1", unit="", passed=not reason, reason=reason or None
-    )
 
 
 def _on_standard_error(text: str) -> None:
