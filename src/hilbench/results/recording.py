@@ -28,8 +28,7 @@ from hilbench.results.foreign_mdf import read_mdf
 from hilbench.results.journal import read_journal
 from hilbench.results.mdf import Column, MdfPieces, MdfWriter, is_ours
 from hilbench.results.reduction import GAP_S, MOST_VALUES, joined, reduced
-from hilbench.results.text_table import read_table
-from hilbench.results.unreadable import EXPECTED_FORMATS, check_unpacked, short_reason
+from hilbench.results.text_table import EXPECTED_FORMATS, check_unpacked, read_table, short_reason
 from hilbench.runs.events import Event, journal_events
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import find_signal, unit_of

@@ -19,8 +19,7 @@ from hilbench.block import Strict
 from hilbench.json_file import JsonFile
 from hilbench.plant.effects import find_effect
 from hilbench.results.provenance import Provenance
-from hilbench.results.verdict import RunVerdict, verdict_of
-from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.criteria import CriterionResult, RunVerdict, verdict_of
 from hilbench.runs.events import Changed, Event
 from hilbench.runs.metrics import Judgement, StepFigures
 from hilbench.topology.config import BenchConfig

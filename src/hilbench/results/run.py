@@ -53,15 +53,14 @@ from hilbench.results.result import (
 from hilbench.results.run_folder import RunFolder
 from hilbench.results.spool import Spool
 from hilbench.results.trace import TraceWriter
-from hilbench.results.verdict import BY_OPERATOR
 from hilbench.runs import config as config_files
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig
-from hilbench.runs.criteria import Criterion, CriterionResult, evaluate
+from hilbench.runs.criteria import BY_OPERATOR, Criterion, CriterionResult, evaluate
 from hilbench.runs.estimated_errors import metrics as found_metrics
 from hilbench.runs.events import EventLog
-from hilbench.runs.look_ahead import LookAhead
 from hilbench.runs.metrics import Judgement, judge
+from hilbench.runs.set_point_schedule import LookAhead
 
 #: What a signal waits for once a run has ended.
 WRITING = "recording and result are written"

@@ -26,8 +26,7 @@ from hilbench.canopen.sdo_client import SdoAbortedError, SdoClient, SdoCommunica
 from hilbench.errors import BusError, HilbenchError
 from hilbench.prediction.outlook import Outlook
 from hilbench.results.journal import append_to_journal
-from hilbench.results.received import SYNCS, from_frames
-from hilbench.results.what_if import Question, what_if
+from hilbench.results.what_if import SYNCS, Question, from_frames, what_if
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.main_quantities.of_kind import find_quantity
 from hilbench.topology.main_quantities.quantity import MainQuantity
@@ -68,7 +67,7 @@ def switches(config: BenchConfig) -> Iterator[Switch]:
 
 
 class RecentFrames:
-    """Frames of about `hilbench.results.received.SYNCS` cycles."""
+    """Frames of about `hilbench.results.what_if.SYNCS` cycles."""
 
     def __init__(self) -> None:
         self._received: deque[list[Frame]] = deque()
@@ -215,7 +214,7 @@ class ChangeRequests:
         return Foreseen(f"{asked}: {wording(outlook)}", outlook)
 
     def upload(self, node_id: int, index: int, sub: int) -> bytes:
-        """The content of an object (`hilbench.results.received.Reader`)."""
+        """The content of an object (`hilbench.results.what_if.Reader`)."""
         with self._on_bus:
             return self._joined().upload(node_id, index, sub)
 
