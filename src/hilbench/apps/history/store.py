@@ -1,13 +1,12 @@
 """The history of stands: one SQLite file with what each run has found of the machine.
 
-Several runs may add at a time: a write-ahead log, a waiting time for the lock, and one transaction a run; whoever is
-killed while writing leaves the file whole. `entries.rebuild` makes it again from run folders.
+Several runs may add at a time: each waits for the lock, and adds in one transaction; whoever is killed while writing
+leaves the file whole. `entries.rebuild` makes it again from run folders.
 """
 
 from __future__ import annotations
 
 import sqlite3
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -21,7 +20,6 @@ from hilbench.topology.config import BenchConfig
 
 #: How long a run waits for another one that writes, s.
 _PATIENCE_S: Final = 10.0
-_RETRY_S: Final = 0.005
 _VERSION: Final = 1
 #: Where the history lies unless the config says so: beside the folder of the runs.
 FILE: Final = "history.sqlite"
@@ -136,7 +134,6 @@ class History:
             with closing(sqlite3.connect(self.path, timeout=_PATIENCE_S, isolation_level="IMMEDIATE")) as connection:
                 connection.execute("PRAGMA foreign_keys = ON")
                 if _version_of(connection) != _VERSION:
-                    _write_ahead(connection)
                     self._make_tables(connection)
                 yield connection
         except sqlite3.OperationalError as error:
@@ -164,20 +161,6 @@ class History:
 
 def _version_of(connection: sqlite3.Connection) -> int:
     return int(connection.execute("PRAGMA user_version").fetchone()[0])
-
-
-def _write_ahead(connection: sqlite3.Connection) -> None:
-    """Give a file its write-ahead log. SQLite itself does not wait for the lock of that: of several processes that make
-    the file at a time each but one would fail."""
-    end_s = time.monotonic() + _PATIENCE_S
-    while True:
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-            return
-        except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or time.monotonic() > end_s:
-                raise
-            time.sleep(_RETRY_S)
 
 
 def _write(connection: sqlite3.Connection, entry: Entry) -> None:

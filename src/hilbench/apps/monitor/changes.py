@@ -125,6 +125,14 @@ class Foreseen:
         return self.text
 
 
+#: Notes what somebody has asked for, with its answer, and the value.
+Note = Callable[[str, float], None]
+
+
+def _nowhere(text: str, value: float) -> None:
+    """Note nothing."""
+
+
 class ChangeRequests:
     """Makes one request after the other, in a thread of its own; what each returns, and `ended`, says how it ended.
 
@@ -148,14 +156,22 @@ class ChangeRequests:
             key: quantity for key, quantity in self.changeable.items() if quantity.path in foreseeable(config)
         }
 
-    def ask(self, quantity: MainQuantity, value: float) -> Future[str]:
+    def ask(self, quantity: MainQuantity, value: float, note: Note = _nowhere) -> Future[str]:
         """Ask for a value, in the quantity's unit, as soon as those before it have been answered."""
-        return self._submit(self._thread, self._change, quantity, value)
+        return self._noted(self._submit(self._thread, self._change, quantity, value), value, note)
 
-    def send(self, switch: Switch, on: bool) -> Future[str]:
+    def send(self, switch: Switch, on: bool, note: Note = _nowhere) -> Future[str]:
         """Answer yes or no, as soon as the request before has been answered."""
         asked = f"{switch.title}: {'yes' if on else 'no'}"
-        return self._submit(self._thread, self._write, switch.path, asked, float(on), "0 or 1")
+        return self._noted(
+            self._submit(self._thread, self._write, switch.path, asked, float(on), "0 or 1"), float(on), note
+        )
+
+    @staticmethod
+    def _noted(future: Future[str], value: float, note: Note) -> Future[str]:
+        """The request, noted with its answer, also of who has left meanwhile."""
+        future.add_done_callback(lambda ended: None if ended.cancelled() else note(ended.result(), value))
+        return future
 
     def look_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> Future[Foreseen]:
         """Predict the outcome if the quantity went to a value, from the last frames received; nothing moves."""

@@ -7,7 +7,6 @@ yes or no to what it proposes, and to look ahead a question of its present value
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from math import floor, log10
@@ -180,7 +179,7 @@ class Dashboard(App[None]):
 
         def ask(yes: bool | None) -> None:
             if yes:
-                self._noted_when_answered(self._changes.ask(quantity, value), value)
+                self._changes.ask(quantity, value, self._note)
 
         text = f"Set {quantity.title} to {value:g} {quantity.in_unit}?\ny: yes   n: no   {_STOP_HINT}"
         self.push_screen(_Dialogue(text, {"y": True, "n": False}), ask)
@@ -191,7 +190,7 @@ class Dashboard(App[None]):
 
         def send(on: bool | None) -> None:
             if on is not None:
-                self._noted_when_answered(self._changes.send(switch, on), float(on))
+                self._changes.send(switch, on, self._note)
 
         text = f"{switch.title}?\ny: {switch.yes}\nn: {switch.no}\nEsc leaves it   {_STOP_HINT}"
         self.push_screen(_Dialogue(text, {"y": True, "n": False}), send)
@@ -223,13 +222,6 @@ class Dashboard(App[None]):
                 self._notify(f"EMERGENCY STOP NOT SENT: {error}")
                 return
             self.run_worker(partial(self._note, "emergency stop"), thread=True)
-
-    def _noted_when_answered(self, asked: Future[str], value: float) -> None:
-        def note(answered: Future[str]) -> None:
-            if not answered.cancelled():
-                self._note(answered.result(), value)
-
-        asked.add_done_callback(note)
 
     def _note(self, text: str, value: float = 0.0) -> None:
         """Into the journal; not in the dashboard's own thread, a trace may be long."""
