@@ -43,34 +43,25 @@ class _Runs(Strict):
     runs: dict[str, _Kept] = Field(default_factory=dict)
 
 
-class Index:
-    """The index of one folder of runs. `opened`: run folders that were read by `runs`, in all."""
+def runs_in(base: Path, announce: Callable[[str], None]) -> list[RunEntry]:
+    """Runs in a folder as they are now, the newest first. `announce` gets a line when many folders are to be read."""
+    known = _read(base / FILE)
+    found = dict(_run_folders(base, known))
+    kept = {path: known[path] for path, stamp in found.items() if path in known and known[path].stamp == stamp}
+    changed = found.keys() - kept.keys()
+    if len(changed) >= _MANY:
+        announce(f"{base}: reading {len(changed)} runs into the index")
+    kept |= {path: _Kept(found[path], read_entry(base, path)) for path in changed}
+    if changed or known.keys() - found.keys():
+        with suppress(UnusableInputError), written_whole(base / FILE) as partial:
+            partial.write_bytes(_Runs(runs=kept).model_dump_json().encode())
+    return sorted((each.entry for each in kept.values()), key=lambda run: (run.began_s, run.path), reverse=True)
 
-    def __init__(self, base: Path) -> None:
-        if not base.is_dir():
-            raise UnusableInputError(base, "no such folder, expected that in which the run folders are")
-        self.base = base
-        self.opened = 0
 
-    def runs(self, announce: Callable[[str], None] = lambda text: None) -> list[RunEntry]:
-        """Runs as they are now, the newest first. `announce` gets a line when many folders are to be read."""
-        known = self._read()
-        found = dict(_run_folders(self.base, known))
-        kept = {path: known[path] for path, stamp in found.items() if path in known and known[path].stamp == stamp}
-        changed = found.keys() - kept.keys()
-        if len(changed) >= _MANY:
-            announce(f"{self.base}: reading {len(changed)} runs into the index")
-        kept |= {path: _Kept(found[path], read_entry(self.base, path)) for path in changed}
-        self.opened += len(changed)
-        if changed or known.keys() - found.keys():
-            with suppress(UnusableInputError), written_whole(self.base / FILE) as partial:
-                partial.write_bytes(_Runs(runs=kept).model_dump_json().encode())
-        return sorted((each.entry for each in kept.values()), key=lambda run: (run.began_s, run.path), reverse=True)
-
-    def _read(self) -> dict[str, _Kept]:
-        with suppress(OSError, ValidationError):
-            return _Runs.model_validate_json((self.base / FILE).read_bytes()).runs
-        return {}
+def _read(path: Path) -> dict[str, _Kept]:
+    with suppress(OSError, ValidationError):
+        return _Runs.model_validate_json(path.read_bytes()).runs
+    return {}
 
 
 def _run_folders(base: Path, known: Iterable[str]) -> Iterator[tuple[str, str]]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hilbench.apps.library.entry import STATES, RunEntry, read_entry
-from hilbench.apps.library.index import Index
+from hilbench.apps.library.index import runs_in
 from hilbench.apps.library.live_run import continues
 from hilbench.apps.library.where import Condition, parse_condition
 from hilbench.did_you_mean import did_you_mean
@@ -142,8 +142,9 @@ class Library:
     """The runs in a folder, through its index. `announce` gets a line when many folders are to be read."""
 
     def __init__(self, base: Path, announce: Callable[[str], None] = lambda text: None) -> None:
+        if not base.is_dir():
+            raise UnusableInputError(base, "no such folder, expected that in which the run folders are")
         self.base = base
-        self.index = Index(base)
         self._announce = announce
 
     def runs(self, query: Query | None = None, names: Iterable[str] = ()) -> list[RunEntry]:
@@ -152,7 +153,7 @@ class Library:
         Raises UnusableInputError for a name in the condition, or among those of values to be shown, that nothing has.
         """
         query = query or Query()
-        runs = [_as_it_is(self.base, run) for run in self.index.runs(self._announce)]
+        runs = [_as_it_is(self.base, run) for run in runs_in(self.base, self._announce)]
         known = {*FIELDS, *(name for run in runs for name in (*run.metrics, *run.settings))}
         for name in sorted(query.where.names) if query.where is not None else ():
             if name not in known and runs:
@@ -177,7 +178,7 @@ class Library:
         path = self.base / run
         if (path / "config.yaml").is_file():
             return RunFolder.open(path)
-        runs = self.index.runs(self._announce)
+        runs = runs_in(self.base, self._announce)
         if run == "last" and runs:
             return RunFolder.open(self.base / runs[0].path)
         meant = [each.path for each in runs if each.path.startswith(run) or each.name.startswith(run)]
