@@ -21,6 +21,7 @@ from hilbench.plant.effects import find_effect
 from hilbench.results.provenance import Provenance
 from hilbench.runs.criteria import CriterionResult, RunVerdict, verdict_of
 from hilbench.runs.events import Changed, Event
+from hilbench.runs.figures import finite_or_none
 from hilbench.runs.metrics import Judgement, StepFigures
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.estimated_errors import EstimatedModelError
@@ -241,7 +242,9 @@ class EventRecord(Strict):
     @classmethod
     def of(cls, event: Event) -> Self:
         """Record for the file."""
-        changes = [Changed(each.path, _known(each.before), _known(each.after)) for each in event.changes]
+        changes = [
+            Changed(each.path, finite_or_none(each.before), finite_or_none(each.after)) for each in event.changes
+        ]
         return cls(kind=event.kind, text=str(event), start_s=event.start_s, end_s=event.end_s, changes=changes)
 
 
@@ -263,7 +266,7 @@ class StepRecord(Strict):
             text=str(step.event) if step.event else str(step),
             time_s=step.start_s,
             until_s=step.until_s,
-            figures={name: _known(figure.value) for name, figure in step.figures.items()},
+            figures={name: finite_or_none(figure.value) for name, figure in step.figures.items()},
             reasons={name: figure.reason for name, figure in step.figures.items() if figure.reason},
         )
 
@@ -294,10 +297,6 @@ class PredictedLimit(_WithOptions):
         """Record for the file."""
         watched = made.crossing.watched
         return cls(quantity=watched.name, **_shared(cls, made, made.crossing, watched))
-
-
-def _known(value: float | None) -> float | None:
-    return value if value is not None and isfinite(value) else None
 
 
 class EstimatedRecord(Strict):
