@@ -22,8 +22,7 @@ from textual.validation import Number
 from textual.widgets import DataTable, Footer, Input, Log, Sparkline, Static
 
 from hilbench.apps.monitor.changes import ChangeRequests, OperatorJournal, RecentFrames
-from hilbench.apps.monitor.condition import Condition
-from hilbench.apps.monitor.picture import BusPicture, NodePicture, Trend
+from hilbench.apps.monitor.picture import BusPicture, Condition, NodePicture, Trend
 from hilbench.can.link import Link
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP, send_emergency_stop
 from hilbench.errors import BusError, UnusableInputError

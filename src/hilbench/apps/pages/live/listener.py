@@ -14,8 +14,7 @@ from typing import Any, Final
 
 from hilbench.apps.library.live_run import continues
 from hilbench.apps.monitor.changes import RecentFrames
-from hilbench.apps.monitor.condition import Condition
-from hilbench.apps.monitor.picture import BusPicture
+from hilbench.apps.monitor.picture import BusPicture, Condition
 from hilbench.apps.pages.live.history import Entry, Events, History, Weight
 from hilbench.apps.pages.live.machines.kinds import live_panels, signals_of
 from hilbench.apps.pages.live.samples import FindRun, LiveSamples
