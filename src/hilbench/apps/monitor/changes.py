@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -20,13 +19,12 @@ from hilbench.bench.prediction.create import foreseeable
 from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
 from hilbench.canopen.data_types import DataType
-from hilbench.canopen.identifiers import SYNC
 from hilbench.canopen.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
 from hilbench.canopen.sdo_client import SdoAbortedError, SdoClient, SdoCommunicationError
 from hilbench.errors import BusError, HilbenchError
 from hilbench.prediction.outlook import Outlook
 from hilbench.results.journal import append_to_journal
-from hilbench.results.what_if import SYNCS, Question, from_frames, what_if
+from hilbench.results.what_if import Question, from_frames, what_if
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.main_quantities.of_kind import find_quantity
 from hilbench.topology.main_quantities.quantity import MainQuantity
@@ -64,30 +62,6 @@ def switches(config: BenchConfig) -> Iterator[Switch]:
         yield PROBE
     if config.twin.live_diagnosis is not None:
         yield MODEL
-
-
-class RecentFrames:
-    """Frames of about `hilbench.results.what_if.SYNCS` cycles."""
-
-    def __init__(self) -> None:
-        self._received: deque[list[Frame]] = deque()
-        self._syncs = 0
-
-    def take(self, frames: list[Frame]) -> None:
-        """Add received frames."""
-        self._received.append(frames)
-        self._syncs += _syncs(frames)
-        while self._syncs - (oldest := _syncs(self._received[0])) > SYNCS:
-            self._received.popleft()
-            self._syncs -= oldest
-
-    def frames(self) -> list[Frame]:
-        """Frames in the order in which they were received."""
-        return [frame for received in self._received for frame in received]
-
-
-def _syncs(frames: list[Frame]) -> int:
-    return sum(frame.can_id == SYNC for frame in frames)
 
 
 class OperatorJournal:

@@ -21,7 +21,7 @@ from textual.screen import ModalScreen
 from textual.validation import Number
 from textual.widgets import DataTable, Footer, Input, Log, Sparkline, Static
 
-from hilbench.apps.monitor.changes import ChangeRequests, OperatorJournal, RecentFrames
+from hilbench.apps.monitor.changes import ChangeRequests, OperatorJournal
 from hilbench.apps.monitor.picture import BusPicture, Condition, NodePicture, Trend
 from hilbench.can.link import Link
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP, send_emergency_stop
@@ -131,7 +131,6 @@ class Dashboard(App[None]):
         if changes.foreseeable:
             self.bind(_WHAT_IF_KEY, "what_if", description="what if")
         self._noted = 0
-        self._recent = RecentFrames()
 
     def compose(self) -> ComposeResult:
         """The widgets."""
@@ -207,7 +206,7 @@ class Dashboard(App[None]):
 
         def look(value: float | None) -> None:
             if value is not None:
-                self._changes.look_ahead(quantity, value, self._recent.frames())
+                self._changes.look_ahead(quantity, value, self._picture.recent_frames())
 
         self.push_screen(self._new_value(quantity, f"What if {quantity.title} went to a value"), look)
 
@@ -241,9 +240,7 @@ class Dashboard(App[None]):
     # -- received frames -----------------------------------------------------------------------------------
 
     def _read(self) -> None:
-        frames = self._link.receive(0.0)
-        self._picture.take(frames)
-        self._recent.take(frames)
+        self._picture.take(self._link.receive(0.0))
         for text in self._changes.ended():
             self._notify(text)
 

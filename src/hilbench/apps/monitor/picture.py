@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import Enum
+from itertools import chain
 from math import isinf, nan
 from typing import Any
 
@@ -47,6 +48,8 @@ _MISSED = 25
 _HEARTBEATS_MISSED = 4
 #: Share of late answers from which on a participant is shown.
 _WORTH_SHOWING = 0.005
+#: Cycles whose frames are kept: so many say what would come if (`hilbench.results.what_if.SYNCS`).
+_RECENT = 200
 #: Name of the twin's status among its values.
 _STATUS = "twin_status"
 
@@ -239,6 +242,7 @@ class BusPicture:
         self._answered: set[int] = set()  # since the last SYNC
         self._bits: deque[int] = deque([0], maxlen=_WINDOW)
         self._sync_ns: deque[int] = deque(maxlen=_WINDOW)
+        self._recent: deque[list[Frame]] = deque([[]], maxlen=_RECENT)  # from one SYNC to the next
         self._watch = BenchWatch(self.config.master.node_id)
         self._now_s = time.monotonic()
         self._received: dict[
@@ -255,6 +259,9 @@ class BusPicture:
         heartbeats: list[Frame] = []
         for frame in frames:
             self._bits[-1] += frame_bits(frame)
+            if frame.can_id == SYNC:
+                self._recent.append([])
+            self._recent[-1].append(frame)
             if frame.can_id & EXTENDED_FLAG:
                 continue
             self._watch.take(frame, self._now_s)
@@ -277,6 +284,10 @@ class BusPicture:
             self._mark_received(node_id, "heartbeat", _HEARTBEATS_MISSED * self._heartbeat_cycles)
             self._nmt(node_id, state)
         self._look_for_silence()
+
+    def recent_frames(self) -> list[Frame]:
+        """Frames of the last cycles, in the order in which they were received."""
+        return list(chain.from_iterable(self._recent))
 
     def _take_twin(self, frame: Frame) -> None:
         """Take values of the twin; a batch of frames may end between them and the SYNC after them."""
