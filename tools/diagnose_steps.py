@@ -29,7 +29,7 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.emulated import emulation_of
 from hilbench.results.recording import Recording
-from hilbench.results.run import Recorder
+from hilbench.results.recording_builder import Recorder
 from hilbench.runs.config import ExperimentConfig, load
 
 CONFIG = Path(__file__).resolve().parents[1] / "bench_configs" / "web_section_step.yaml"

@@ -20,7 +20,7 @@ from rich.table import Table
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.results.run import Recorder
+from hilbench.results.recording_builder import Recorder
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
 

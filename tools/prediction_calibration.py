@@ -29,7 +29,7 @@ import numpy as np
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.runs.config import ExperimentConfig, load_with_overrides
-from hilbench.runs.look_ahead import LookAhead
+from hilbench.runs.set_point_schedule import LookAhead
 from hilbench.topology.sample import CycleSample
 
 CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"

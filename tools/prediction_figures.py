@@ -30,9 +30,9 @@ from hilbench.bench.prediction.web_line import LineLook
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook
 from hilbench.results.recording import Recording
-from hilbench.results.run import Recorder
+from hilbench.results.recording_builder import Recorder
 from hilbench.runs.config import load_with_overrides
-from hilbench.runs.look_ahead import LookAhead
+from hilbench.runs.set_point_schedule import LookAhead
 from hilbench.topology.sample import CycleSample
 
 CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"

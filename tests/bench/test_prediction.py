@@ -27,7 +27,7 @@ from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import load_with_overrides
-from hilbench.runs.look_ahead import LookAhead
+from hilbench.runs.set_point_schedule import LookAhead
 from hilbench.topology.sample import CycleSample, sample_type
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"

@@ -29,6 +29,7 @@ from hilbench.hardware.simulation import RigApplication
 from hilbench.in_process_cycle.cycles import FastPathCycles
 from hilbench.results import run as runs
 from hilbench.results.journal import JournalWriter
+from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.results.result import Result
 from hilbench.results.trace import TraceWriter
 from hilbench.topology.sample import CycleSample
@@ -116,7 +117,7 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
         (LoadModel, "follow_in"),
         (FastPathCycles, "cycle"),
         (SyncCycle, "exchange"),
-        (runs.Recorder, "sample"),
+        (RecordingBuilder, "sample"),
         *slow(
             (LimitWatch, "update"),
             (Nodes, "decode"),

@@ -11,7 +11,7 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.emulated import emulation_of
 from hilbench.results.recording import Recording
-from hilbench.results.run import Recorder
+from hilbench.results.recording_builder import Recorder
 from hilbench.runs.config import ExperimentConfig, load
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"

@@ -25,7 +25,7 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.emulation import Emulation
 from hilbench.plant.web_line.rig import CoupledMotor
 from hilbench.results.recording import Recording, write_recording
-from hilbench.results.run import Recorder
+from hilbench.results.recording_builder import Recorder
 from hilbench.runs import config as config_files
 from hilbench.runs.config import ExperimentConfig, load
 

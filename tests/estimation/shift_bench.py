@@ -29,12 +29,9 @@ from tests.estimation.shift_score import (
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.tasks.task import CompiledStages
 from hilbench.errors import BenchFaultError
-from hilbench.results.keeping import Keeping
 from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.runs.config import ExperimentConfig, load_with_overrides
-from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
 
 Array = NDArray[np.float64]
@@ -91,23 +88,6 @@ class Rows(RecordingBuilder):
                 }
             )
         self.used[0] = 0
-
-
-class Watch:
-    """Observer of a bench that hands its samples on in blocks."""
-
-    def __init__(self, config: ExperimentConfig, take: Callable[[Channels], None]) -> None:
-        names = [signal.name for signal in config.signals]
-        self.rows = Rows(names, [signal.name for signal in config.signals if signal.integer], take)
-        self._keeping = Keeping(self.rows)
-
-    def sample(self, sample: CycleSample) -> None:
-        """One cycle by itself."""
-        self.rows.append_packed(sample.reals.data[: len(self.rows.names)].cast("B"))
-
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """The same as a piece of a cycle."""
-        return self._keeping.pieces(sample)
 
 
 @dataclass
@@ -448,7 +428,9 @@ class Shift:
 
     def _run_bench(self, until_s: float, seed: int) -> float:
         """Until it has stopped, or was ended; returns how long that was, s."""
-        watch = Watch(self.config, self.scored.take)
+        signals = self.config.signals
+        names, whole = [each.name for each in signals], [each.name for each in signals if each.integer]
+        watch = Rows(names, whole, self.scored.take)
         self.scored.begin()
         bench = Bench(self.config, observers=[watch], participants=Participants.IN_PROCESS)
         try:
@@ -460,7 +442,7 @@ class Shift:
                     Operation(bench, self.machine, seed, until_s).run()
         except BenchFaultError as error:
             self.ended = str(error).splitlines()[0]
-        watch.rows.flush()
+        watch.flush()
         offset_s = self.scored.offset_s
         self.notices += [(offset_s + each.time_s, f"{each.source}: {each.text}", each.count) for each in bench.notices]
         return bench.time_s

@@ -37,7 +37,7 @@ from hilbench.can.frame import Frame
 from hilbench.canopen.host import HostedDevices
 from hilbench.estimation.web_line import span_estimator_cycle
 from hilbench.in_process_cycle.cycles import FastPathCycles, _Run
-from hilbench.results.run import Recorder
+from hilbench.results.recording_builder import Recorder
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
 from hilbench.twin.machines import web_line_cycle

@@ -6,9 +6,7 @@ import json
 import multiprocessing
 import os
 import shutil
-import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Self
 
@@ -16,11 +14,20 @@ import pytest
 from tests.library.made_runs import criterion, made_run
 
 from hilbench.apps.library import index as index_module
-from hilbench.apps.library.index import FILE, Index
+from hilbench.apps.library.index import FILE
 from hilbench.apps.library.labels import note, tag
 from hilbench.apps.library.query import Library, Query
 from hilbench.errors import UnusableInputError
 from hilbench.results.result import Fault
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Run folders that are read from now on."""
+    found: list[str] = []
+    read = index_module.read_entry
+    monkeypatch.setattr(index_module, "read_entry", lambda base, path: found.append(path) or read(base, path))
+    return found
 
 
 def names(library: Library, **asked: object) -> list[str]:
@@ -32,7 +39,7 @@ def test_runs_are_listed_with_what_their_folders_say(tmp_path: Path) -> None:
     made_run(tmp_path, "axis", number=2, faults=[Fault(time_s=1.0, source="bench", text="node 3 is gone")])
     made_run(tmp_path, "web", number=3, faults=[Fault(time_s=1.0, source="operator", text="interrupted")])
     made_run(tmp_path, "web", number=4, settings={"load.web.width_m": 0.6})
-    four, three, two, one = Library(tmp_path).runs(metrics=None)
+    four, three, two, one = Library(tmp_path).runs()
     assert [run.state for run in (one, two, three, four)] == ["failed", "fault", "interrupted", "completed"]
     assert (one.bench, one.met, one.criteria, one.duration_s, one.seed) == ("web", 1, 2, 2.0, 1)
     assert (one.description, one.host, one.config) == ("made for tests", "stand7", "bench_configs/web.yaml")
@@ -42,14 +49,14 @@ def test_runs_are_listed_with_what_their_folders_say(tmp_path: Path) -> None:
     assert one.began_s + 3 * 3600 == four.began_s
 
 
-def test_a_folder_is_not_opened_again_until_it_has_changed(tmp_path: Path) -> None:
+def test_a_folder_is_not_opened_again_until_it_has_changed(tmp_path: Path, opened: list[str]) -> None:
     folders = [made_run(tmp_path, number=number, criteria=[criterion("a")]) for number in range(20)]
     library = Library(tmp_path)
     assert len(library.runs()) == 20
-    assert library.index.opened == 20
+    assert len(opened) == 20
     again = Library(tmp_path)
     assert len(again.runs()) == 20
-    assert again.index.opened == 0
+    assert len(opened) == 20
     tag(folders[3], add=["golden"])
     note(folders[4], "look at the noise")
     data = json.loads(folders[5].result.read_text())
@@ -57,7 +64,7 @@ def test_a_folder_is_not_opened_again_until_it_has_changed(tmp_path: Path) -> No
     made_run(tmp_path, number=20)
     shutil.rmtree(folders[6].path)
     assert len(again.runs()) == 20
-    assert again.index.opened == 4
+    assert len(opened) == 24
     assert names(again, tags=["golden"]) == [folders[3].name]
     assert names(again, results=["failed"]) == [folders[5].name]
 
@@ -78,32 +85,26 @@ def test_many_runs_cost_three_looks_each_and_no_file(tmp_path: Path, monkeypatch
 def test_the_index_is_made_again_when_it_is_gone_broken_or_of_another_version(tmp_path: Path) -> None:
     folder = made_run(tmp_path, number=1)
     tag(folder, add=["golden"])
-    before = Library(tmp_path).runs(metrics=None)
+    before = Library(tmp_path).runs()
     index = tmp_path / FILE
-    for suffix in ("", "-wal", "-shm"):
-        Path(f"{index}{suffix}").unlink(missing_ok=True)
-    assert Library(tmp_path).runs(metrics=None) == before
-    for suffix in ("-wal", "-shm"):
-        Path(f"{index}{suffix}").unlink(missing_ok=True)
-    index.write_bytes(b"this is no database" * 100)
-    assert Library(tmp_path).runs(metrics=None) == before
-    with sqlite3.connect(index) as connection:
-        connection.execute("PRAGMA user_version = 99")
-    connection.close()
-    assert Library(tmp_path).runs(metrics=None) == before
+    index.unlink()
+    assert Library(tmp_path).runs() == before
+    data = json.loads(index.read_text())
+    index.write_text(json.dumps(data | {"version": 99}))
+    assert Library(tmp_path).runs() == before
 
 
-def _damage_pages(index: Path) -> None:
-    """All but the first one, in which its version and its tables stand."""
-    content = bytearray(index.read_bytes())
-    content[4096:] = b"\xff" * (len(content) - 4096)
-    index.write_bytes(content)
+def _set(key: int | str, value: object) -> Callable[[Path], None]:
+    """Another value in the second run: its stamp, or one of its entry."""
 
-
-def _set(column: str, value: str) -> Callable[[Path], None]:
     def damage(index: Path) -> None:
-        with closing(sqlite3.connect(index)) as connection, connection:
-            connection.execute(f"UPDATE run SET {column} = {value} WHERE rowid = 2")
+        data = json.loads(index.read_text())
+        kept = list(data["runs"].values())[1]
+        if isinstance(key, int):
+            kept[key] = value
+        else:
+            kept[1][key] = value
+        index.write_text(json.dumps(data))
 
     return damage
 
@@ -111,38 +112,25 @@ def _set(column: str, value: str) -> Callable[[Path], None]:
 @pytest.mark.parametrize(
     "damage",
     [
-        _damage_pages,
-        _set("entry", "'{'"),
-        _set("entry", "'{}'"),
-        _set("entry", """'{"path": 1, "verdicts": 2}'"""),
-        _set("entry", "CAST(x'ff' AS TEXT)"),
-        _set("stamp", "CAST(x'ff' AS TEXT)"),
-        lambda index: sqlite3.connect(index).execute("DROP TABLE metric"),
+        lambda index: index.write_bytes(b"this is no index" * 100),
+        lambda index: index.write_bytes(index.read_bytes()[:-100]),
+        lambda index: index.write_bytes(index.read_bytes().replace(b'"bench"', b'"ben\xff"')),
+        _set(0, None),
+        _set(1, {}),
+        _set("path", 1),
+        _set("verdicts", 2),
+        _set("a", "b"),
     ],
 )
-def test_an_index_with_one_damaged_page_row_or_table_is_made_again(
-    tmp_path: Path, damage: Callable[[Path], None]
-) -> None:
+def test_a_damaged_index_is_made_again(tmp_path: Path, damage: Callable[[Path], None], opened: list[str]) -> None:
     for number in range(3):
         made_run(tmp_path, number=number)
-    before = Library(tmp_path).runs(metrics=None)
+    before = Library(tmp_path).runs()
     damage(tmp_path / FILE)
-    assert Library(tmp_path).runs(metrics=None) == before
-    assert Library(tmp_path).known_names() >= {"E_noise_pct"}
-    library = Library(tmp_path)
-    assert library.runs(metrics=None) == before
-    assert library.index.opened == 0  # it is kept again
-
-
-def test_a_listing_does_not_wait_for_who_holds_the_index(tmp_path: Path) -> None:
-    made_run(tmp_path, number=1)
-    assert len(Library(tmp_path).runs()) == 1
-    made_run(tmp_path, number=2)
-    with closing(sqlite3.connect(tmp_path / FILE)) as other:
-        other.execute("BEGIN IMMEDIATE")
-        assert len(Library(tmp_path).runs()) == 2
-        other.rollback()
-    assert len(Library(tmp_path).runs()) == 2
+    assert Library(tmp_path).runs() == before
+    assert len(opened) == 6
+    assert Library(tmp_path).runs() == before
+    assert len(opened) == 6  # it is kept again
 
 
 def test_runs_with_odd_names_and_files_do_not_hide_the_others(tmp_path: Path) -> None:
@@ -170,7 +158,7 @@ def test_runs_with_odd_names_and_files_do_not_hide_the_others(tmp_path: Path) ->
     data = json.loads((folder := made_run(tmp_path, number=20)).result.read_text())
     data["timing"]["cycles"], data["metrics"] = 10**400, {"\ud800": 1.0}
     folder.result.write_text(json.dumps(data))
-    found = {run.path: run for run in Library(tmp_path).runs(metrics=None)}
+    found = {run.path: run for run in Library(tmp_path).runs()}
     assert len(found) == 10
     assert not found[good.name].problem
     assert "no UTF-8" in found["web-\\xff"].problem
@@ -203,16 +191,13 @@ def test_a_folder_that_can_not_be_written_is_listed_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made_run(tmp_path, number=1)
-    real = sqlite3.connect
 
-    def refused(path: object, **options: object) -> sqlite3.Connection:
-        if path != ":memory:":
-            raise sqlite3.OperationalError("unable to open database file")
-        return real(":memory:")
+    def refused(*_: object) -> None:
+        raise PermissionError(1, "no right")
 
-    monkeypatch.setattr(index_module.sqlite3, "connect", refused)
+    monkeypatch.setattr(Path, "write_bytes", refused)
     assert len(Library(tmp_path).runs()) == 1
-    assert not (tmp_path / FILE).exists()
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
 
 
 def _list(folder: Path, count: int) -> int:
@@ -287,4 +272,4 @@ def test_runs_are_found_by_name_bench_tag_time_and_what_they_measured(tmp_path: 
 
 def test_a_library_is_a_folder(tmp_path: Path) -> None:
     with pytest.raises(UnusableInputError, match="no such folder"):
-        Index(tmp_path / "nowhere")
+        Library(tmp_path / "nowhere")

@@ -16,7 +16,6 @@ from tests.tiers import slow
 from textual.widgets import DataTable, Log, Static
 from textual.widgets._footer import FooterKey
 
-from hilbench.apps.monitor import condition
 from hilbench.apps.monitor import picture as picture_of
 from hilbench.apps.monitor.changes import ChangeRequests, Foreseen, OperatorJournal
 from hilbench.apps.monitor.dashboard import Dashboard
@@ -107,8 +106,7 @@ def test_who_answers_late_is_shown_with_the_share(bench: BenchConfig) -> None:
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames that are sent once are what a bench says all the time."""
-    for module in (condition, picture_of):
-        monkeypatch.setattr(module, "SILENCE_S", 1e9)
+    monkeypatch.setattr(picture_of, "SILENCE_S", 1e9)
 
 
 def dashboard_of(

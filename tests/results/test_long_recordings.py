@@ -25,7 +25,7 @@ from hilbench.results.recording import (
     write_recording,
 )
 from hilbench.results.run_folder import RunFolder
-from hilbench.results.spool import Spool, all_rows, read_running
+from hilbench.results.spool import Spool, SpooledPieces, read_running
 from hilbench.runs.metrics import judge
 from hilbench.topology.signals import signals_of, smallest_shapes
 
@@ -73,7 +73,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 @pytest.mark.parametrize("count", [5, BLOCK_ROWS, 3 * BLOCK_ROWS + 100])
 def test_a_kill_costs_no_sample(tmp_path: Path, count: int) -> None:
     subprocess.run([sys.executable, "-c", KILLED, str(tmp_path), str(count), "always"], check=False)
-    pieces = list(all_rows(RunFolder(tmp_path), SIGNALS))
+    pieces = list(SpooledPieces(RunFolder(tmp_path), SIGNALS))
     time_s = np.concatenate([piece["t_s"] for piece in pieces])
     assert np.array_equal(time_s, np.arange(count) * 0.002)
 
@@ -81,7 +81,7 @@ def test_a_kill_costs_no_sample(tmp_path: Path, count: int) -> None:
 def test_other_tools_read_a_recording_that_is_still_written(tmp_path: Path) -> None:
     rows = begin(tmp_path)
     fill(rows, 0, 2 * BLOCK_ROWS + 10)
-    assert len(rows.build()) == 2 * BLOCK_ROWS + 10  # waits until all full blocks are on disk
+    assert len(rows.recording()) == 2 * BLOCK_ROWS + 10  # waits until all full blocks are on disk
     with asammdf.MDF(tmp_path / "recording.part.mf4") as mdf:
         assert len(mdf.get(SIGNALS[1].name).samples) == 2 * BLOCK_ROWS
     rows.finish()
@@ -105,7 +105,7 @@ def test_a_disk_that_is_full_ends_the_recording_with_a_warning(tmp_path: Path, m
         raise OSError(28, "No space left on device")
 
     fill(rows, 0, BLOCK_ROWS + 1)
-    rows.build()
+    rows.recording()
     monkeypatch.setattr(spool.MdfWriter, "append", full)
     fill(rows, BLOCK_ROWS + 1, 4 * BLOCK_ROWS)
     assert len(said) == 1

@@ -34,7 +34,7 @@ def sample(samples: int = 300) -> Recording:
         ]
         row[0] = k * 0.002
         builder.append(row)
-    return builder.build(datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC), "a run")
+    return builder.recording(datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC), "a run")
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -86,7 +86,7 @@ def test_builder_grows_past_what_was_expected() -> None:
     for k in range(20_000):
         builder.append((k, -k))
         assert len(builder) == k + 1
-    recording = builder.build()
+    recording = builder.recording()
     np.testing.assert_array_equal(recording["t_s"], np.arange(20_000))
     np.testing.assert_array_equal(recording["x1_m"], -np.arange(20_000))
 
@@ -100,7 +100,7 @@ def test_builder_takes_rows_as_they_stand_in_memory() -> None:
         else:
             struct.pack_into("=ddq", row, 0, k, 0.5 * k, k)
             builder.append_packed(memoryview(row))
-    recording = builder.build()
+    recording = builder.recording()
     assert recording["x1_m"].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
     assert (recording["statusword1"].dtype, recording["statusword1"].tolist()) == (np.uint32, [0, 1, 2, 3, 4])
     with pytest.raises(ValueError, match="different structures"):
@@ -125,7 +125,7 @@ def test_bit_field_with_a_gap_stays_a_float(tmp_path: Path) -> None:
     builder = RecordingBuilder(("t_s", "statusword1"))
     builder.append((0.0, math.nan))
     builder.append((1.0, 0x27))
-    recording = builder.build()
+    recording = builder.recording()
     assert recording["statusword1"].dtype == np.float64
     write_recording(recording, tmp_path / "a.csv")
     assert math.isnan(read_recording(tmp_path / "a.csv")["statusword1"][0])

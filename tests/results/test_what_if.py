@@ -15,7 +15,7 @@ from tests.cli.in_process import hilbench
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.results import received
+from hilbench.results import what_if as what_if_module
 from hilbench.results.recording import read_recording
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
@@ -107,7 +107,7 @@ def test_a_bench_that_runs_is_asked_on_its_bus(tmp_path: Path) -> None:
 
 
 def test_a_bus_without_a_bench_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(received, "_LONGEST_S", 0.25)
+    monkeypatch.setattr(what_if_module, "_LONGEST_S", 0.25)
     done = hilbench("what-if", CONFIG, "--bus", f"embedded:nobody-{os.getpid()}", "--set", "line_speed_m_s=3")
     assert done.returncode == 2
     assert "no SYNC within 0.25 s, expected a bench that runs" in done.stderr

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from hilbench.errors import UnusableInputError
-from hilbench.runs.python_file import load_experiment
 from hilbench.runs.scenario import Expectation, read_scenario
+from hilbench.runs.steps import load_experiment
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs"
 

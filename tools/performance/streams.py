@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hilbench.apps.streams.sinks import Target, open_sink
 from hilbench.apps.streams.stream import Stream
-from hilbench.results.run import Recorder
+from hilbench.results.recording_builder import Recorder
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import sample_type
 from performance.table import Section, best_cpu_s

@@ -31,10 +31,7 @@ def as_text(model: Machine, configured: Machine) -> str:
 
 def found_effect(named: NamedEffect, model: Machine) -> FoundEffect:
     """Effect that a model lacks, as reported to the bench."""
-    values = {
-        name: FoundValue(value.value, value.ci95[0], value.ci95[1], value.unit)
-        for name, value in named.parameters.items()
-    }
+    values = {name: FoundValue(value.value, value.ci95, value.unit) for name, value in named.parameters.items()}
     section = _section(find_effect(named.effect, model.machine_kind), named.section, model)
     return FoundEffect(named.effect, named.axis, section, values, tuple(named.tied_with))
 
@@ -43,7 +40,7 @@ def of_entry(entry: EffectEntry, model: Machine) -> FoundEffect:
     """An effect of a model, whose values are what they are."""
     effect = find_effect(entry.effect, model.machine_kind)
     values = {
-        name: FoundValue(value, value, value, effect.parameter(name).unit) for name, value in entry.parameters.items()
+        name: FoundValue(value, (value, value), effect.parameter(name).unit) for name, value in entry.parameters.items()
     }
     return FoundEffect(entry.effect, entry.axis, _section(effect, entry.section, model), values)
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
-from hilbench.results.unreadable import EXPECTED_FORMATS, check_unpacked, short_reason
+from hilbench.results.text_table import EXPECTED_FORMATS, check_unpacked, short_reason
 from hilbench.topology.signal_kinds import TIME
 
 #: The most that deflate can shrink data (RFC 1951: 258 bytes by two bits), and a little.

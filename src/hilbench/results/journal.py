@@ -63,6 +63,7 @@ class JournalReader:
 
     def new(self) -> list[Change]:
         """The changes since the last call, as far as their lines are whole."""
+        require_file(self.path)
         with usable(self.path, "read", _EXPECTED), open(self.path, "rb") as file:
             file.seek(self._offset)
             text = file.read()
@@ -70,6 +71,8 @@ class JournalReader:
         *whole, self._rest = (self._rest + text).split(b"\n")
         self._lines += len(whole)
         first = self._lines - len(whole) + 1
+        if len(self._rest) > _LONGEST_LINE:  # no line that is being written
+            whole.append(self._rest)
         return [_change(line, f"{self.path}:{number}") for number, line in enumerate(whole, first)]
 
 
@@ -89,16 +92,7 @@ def read_journal(path: Path) -> list[Change]:
 
     Raises UnusableInputError with file and line on anything that is no change.
     """
-    changes: list[Change] = []
-    require_file(path)
-    with usable(path, "read", _EXPECTED), open(path, "rb") as file:
-        number = 0
-        while line := file.readline(_LONGEST_LINE):
-            number += 1
-            if not line.endswith(b"\n") and not file.read(1):
-                break
-            changes.append(_change(line, f"{path}:{number}"))
-    return changes
+    return JournalReader(path).new()
 
 
 def _line(change: Change) -> bytes:

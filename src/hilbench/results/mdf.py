@@ -265,7 +265,7 @@ class MdfPieces:
 
     def _of(self, groups: Sequence[_Found]) -> Iterator[dict[str, NDArray[Any]]]:
         with open(self.path, "rb") as file:
-            for number in range(len(self.piece_rows)):
+            for number in range(len(groups[0].pieces)):
                 found: dict[str, NDArray[Any]] = {}
                 for group in groups:
                     found |= self._samples(file, group, number)

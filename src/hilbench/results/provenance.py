@@ -6,8 +6,7 @@ import hashlib
 import os
 import platform
 import subprocess
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Self
 
@@ -78,48 +77,30 @@ def overridden(document: strict_yaml.Document) -> list[Override]:
 
 def commit_of(path: Path) -> Commit | None:
     """The commit that is checked out at a file; None outside of a checkout, or without git."""
-    commit, status, tracked = _git(
-        path,
-        ("rev-parse", "--verify", "HEAD"),
-        ("status", "--porcelain", "--untracked-files=no"),
-        ("ls-files", "--error-unmatch", "--", path.resolve().name),
-    )
+    commit = _git(path, "rev-parse", "--verify", "HEAD")
     if commit is None:
         return None
+    status = _git(path, "status", "--porcelain", "--untracked-files=no")
+    tracked = _git(path, "ls-files", "--error-unmatch", "--", path.resolve().name)
     return Commit(commit=commit.strip(), changed=status is None or bool(status.strip()) or tracked is None)
 
 
-def _git(path: Path, *questions: Sequence[str]) -> list[str | None]:
-    """Answers of git in the folder of a file, to all questions at once. It writes nothing there, and
-    runs nothing that the checkout names."""
-    command = ["git", "-c", "core.fsmonitor=false", "-C", str(path.resolve().parent)]
-    environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}
-    asked: list[subprocess.Popen[str]] = []
-    with suppress(OSError):  # there is no git
-        for words in questions:
-            asked.append(
-                subprocess.Popen(
-                    [*command, *words],
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.DEVNULL,
-                    text=True,
-                    errors="replace",
-                    env=environment,
-                )
-            )
-    answers = [_answer(each) for each in asked]
-    return answers if len(answers) == len(questions) else [None for _ in questions]
-
-
-def _answer(asked: subprocess.Popen[str]) -> str | None:
-    with asked:
-        try:
-            text, _ = asked.communicate(timeout=_GIT_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            asked.kill()
-            return None
-    return text if asked.returncode == 0 else None
+def _git(path: Path, *words: str) -> str | None:
+    """Answer of git in the folder of a file. It writes nothing there, and runs nothing that the checkout names."""
+    try:
+        asked = subprocess.run(
+            ["git", "-c", "core.fsmonitor=false", "-C", str(path.resolve().parent), *words],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
+            timeout=_GIT_TIMEOUT_S,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):  # there is no git, or it waits for something
+        return None
+    return asked.stdout if asked.returncode == 0 else None
 
 
 def _eds_files(config: BenchConfig) -> Iterable[EdsFile]:

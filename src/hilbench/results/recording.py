@@ -28,8 +28,7 @@ from hilbench.results.foreign_mdf import read_mdf
 from hilbench.results.journal import read_journal
 from hilbench.results.mdf import Column, MdfPieces, MdfWriter, is_ours
 from hilbench.results.reduction import GAP_S, MOST_VALUES, joined, reduced
-from hilbench.results.text_table import read_table
-from hilbench.results.unreadable import EXPECTED_FORMATS, check_unpacked, short_reason
+from hilbench.results.text_table import EXPECTED_FORMATS, check_unpacked, read_table, short_reason
 from hilbench.runs.events import Event, journal_events
 from hilbench.topology.signal_kinds import TIME
 from hilbench.topology.signals import find_signal, unit_of
@@ -288,9 +287,11 @@ def read_section(path: Path, around_s: float = -inf) -> Recording:
     that has full rate around events only its longest stretch of full rate.
     """
     path = Path(path)
-    if not _is_in_pieces(path):
-        return read_rows(path)
-    pieces = MdfPieces(path)
+    return section_of(MdfPieces(path), around_s) if _is_in_pieces(path) else read_rows(path)
+
+
+def section_of(pieces: MdfPieces, around_s: float) -> Recording:
+    """Section of a recording in pieces, as `read_section`."""
     if pieces.rows * len(pieces.columns) <= MOST_VALUES:
         return _at_full_rate(_of_pieces(pieces, pieces), pieces)
     most = MOST_VALUES // len(pieces.columns)
@@ -379,9 +380,7 @@ def _is_in_pieces(path: Path) -> bool:
 def _of_pieces(pieces: MdfPieces, chosen: Iterable[Mapping[str, NDArray[Any]]]) -> Recording:
     """Recording of the chosen pieces."""
     empty = {column.name: np.empty(0, column.dtype) for column in pieces.columns}
-    return _from_columns(
-        pieces, joined(chosen, min(pieces.rows, MOST_VALUES // len(pieces.columns) + BLOCK_ROWS)) or empty
-    )
+    return _from_columns(pieces, joined(chosen) or empty)
 
 
 def _from_columns(pieces: MdfPieces, found: Mapping[str, NDArray[Any]]) -> Recording:

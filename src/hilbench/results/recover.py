@@ -39,12 +39,11 @@ from hilbench.files import usable
 from hilbench.machine_kinds import machine_part
 from hilbench.results.journal import read_journal
 from hilbench.results.junit import write_junit
-from hilbench.results.mdf import MdfPieces
 from hilbench.results.recording import LEAST_SAMPLES, Recording, read_recording, write_pieces, write_recording
 from hilbench.results.recording_builder import RecordingBuilder
 from hilbench.results.result import Environment, Fault, Result, Timing
 from hilbench.results.run_folder import RunFolder
-from hilbench.results.spool import all_rows
+from hilbench.results.spool import SpooledPieces
 from hilbench.results.trace import TraceReader
 from hilbench.runs.config import ExperimentConfig, load
 from hilbench.runs.criteria import evaluate
@@ -68,15 +67,24 @@ class CycleFrames:
     elapsed_cycles: int = 0  #: SYNCs until then for which there was no cycle
 
 
-@dataclass
+@dataclass(frozen=True)
 class Recovery:
-    """A rebuilt recording, and what was found with it."""
+    """What was found of a run beside its samples."""
 
-    recording: Recording
     started: datetime  #: time of the first SYNC
+    samples: int
     missed: int
     bus_load_pct: float
-    fault: str  #: what ended the run as far as its frames show it, "" for nothing
+    last_s: float
+    source: str  #: where the samples are from
+    fault: str = ""  #: what ended the run as far as its frames show it
+
+
+@dataclass(frozen=True)
+class Replayed(Recovery):
+    """A rebuilt recording, and what was found with it."""
+
+    recording: Recording = field(kw_only=True)
 
 
 def recover_run(folder: RunFolder) -> list[Path]:
@@ -89,15 +97,10 @@ def recover_run(folder: RunFolder) -> list[Path]:
     _require_ended(folder.trace)
     config, _ = load(folder.config)
     if folder.unfinished_recording.exists():
-        ended = _finish_recording(folder, config)
+        ended: Recovery = _finish_recording(folder, config)
     else:
-        found = replay(config, folder)
-        recording = found.recording
-        write_recording(recording, folder.recording)
-        last_s = float(recording.time_s[-1])
-        ended = _Ended(
-            found.started, len(recording), found.missed, found.bus_load_pct, last_s, "trace.log", found.fault
-        )
+        ended = replay(config, folder)
+        write_recording(ended.recording, folder.recording)
     written = [folder.recording]
     if not folder.result.exists():
         result = _result(config, folder, ended, read_journal(folder.journal) if folder.journal.exists() else [])
@@ -107,45 +110,29 @@ def recover_run(folder: RunFolder) -> list[Path]:
     return written
 
 
-@dataclass(frozen=True)
-class _Ended:
-    """State of a run that was cut off, beside its samples."""
-
-    started: datetime
-    samples: int
-    missed: int
-    bus_load_pct: float
-    last_s: float
-    source: str  #: where the samples are from
-    fault: str = ""
-
-
-def _finish_recording(folder: RunFolder, config: ExperimentConfig) -> _Ended:
+def _finish_recording(folder: RunFolder, config: ExperimentConfig) -> Recovery:
     """Put what was not written yet into the recording. Raises UnusableInputError where that are less than two
     samples."""
-    left = folder.unfinished_recording
-    samples, bits, last_s = 0, 0, 0.0
+    left, pieces = folder.unfinished_recording, SpooledPieces(folder, config.signals)
+    samples, bits, last_s = pieces.rows, 0, 0.0
+    if samples < LEAST_SAMPLES:
+        raise UnusableInputError(left, f"{samples} sample(s), expected at least {LEAST_SAMPLES}")
 
     def counted() -> Iterator[Mapping[str, NDArray[Any]]]:
-        nonlocal samples, bits, last_s
-        for piece in all_rows(folder, config.signals):
-            samples += len(piece[TIME])
+        nonlocal bits, last_s
+        for piece in pieces:
             bits += int(np.sum(piece["bus_bits"]))
             last_s = float(piece[TIME][-1])
             yield piece
 
-    pieces = MdfPieces(left)
     write_pieces(pieces, counted(), folder.recording)
-    if samples < LEAST_SAMPLES:
-        folder.recording.unlink()
-        raise UnusableInputError(left, f"{samples} sample(s), expected at least {LEAST_SAMPLES}")
     left.unlink()
     for path in folder.waiting_rows():
         path.unlink()
     always = config.recording.full_rate == "always"
     cycles = round(last_s / config.cycle_time_s) + 1
     load_pct = 100.0 * bits / (config.bus.bitrate * config.cycle_time_s * samples)
-    return _Ended(pieces.start, cycles, cycles - samples if always else 0, load_pct, last_s, "its samples")
+    return Recovery(pieces.start, cycles, cycles - samples if always else 0, load_pct, last_s, "its samples")
 
 
 def _require_ended(trace: Path) -> None:
@@ -156,19 +143,11 @@ def _require_ended(trace: Path) -> None:
             raise UnusableInputError(trace, "still being written, expected the trace of a run that has ended") from None
 
 
-def _result(config: ExperimentConfig, folder: RunFolder, ended: _Ended, changes: list[Change]) -> Result:
+def _result(config: ExperimentConfig, folder: RunFolder, ended: Recovery, changes: list[Change]) -> Result:
     channels = read_recording(folder.recording).channels
     judged = judge(channels, journal=journal_events(changes, config.cycle_time_s))
     metrics = judged.metrics()
-    timing = Timing(
-        pace=config.pace,
-        cycle_us=config.cycle_time_s * 1e6,
-        cycles=ended.samples,
-        missed=ended.missed,
-        jitter_us=None,
-        realtime_factor=None,
-        bus_load_pct=ended.bus_load_pct,
-    )
+    timing = Timing.of(config, ended.samples, ended.missed, bus_load_pct=ended.bus_load_pct)
     text = f"the run was cut off; recovered from {ended.source}" + (f"; {ended.fault}" if ended.fault else "")
     fault = Fault(time_s=ended.last_s, source="bench", text=text)
     criteria = evaluate(config.criteria, metrics, judged)
@@ -177,7 +156,7 @@ def _result(config: ExperimentConfig, folder: RunFolder, ended: _Ended, changes:
     )
 
 
-def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
+def replay(config: BenchConfig, folder: RunFolder) -> Replayed:
     """Decode the frames of a run as its bench did. Raises UnusableInputError for a trace that shows no two cycles."""
     changes = read_journal(folder.journal) if folder.journal.exists() else None
     return replay_frames(config, TraceReader(folder.trace), changes, folder.trace)
@@ -190,7 +169,7 @@ def replay_frames(
     place: str | Path,
     *,
     begun: bool = False,
-) -> Recovery:
+) -> Replayed:
     """Decode the frames of a bench, in the order in which it saw them.
 
     `changes`: what no frame shows (None: not known); `begun`: the first frames are not those of the start.
@@ -223,9 +202,10 @@ def replay_frames(
         found = f"{len(rows)} cycle(s) with enabled drives"
         raise UnusableInputError(place, f"{found}, expected at least {LEAST_SAMPLES}")
     started = datetime.fromtimestamp(first_ns * _NANOSECOND, UTC)
-    recording = rows.build(started, config.description)
+    recording = rows.recording(started, config.description)
     load_pct = 100.0 * bits / (config.bus.bitrate * config.cycle_time_s * count)
-    return Recovery(recording, started, missed, load_pct, fault)
+    last_s = float(recording.time_s[-1])
+    return Replayed(started, len(recording), missed, load_pct, last_s, "trace.log", fault, recording=recording)
 
 
 class CycleSplitter:

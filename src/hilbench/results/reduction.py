@@ -146,27 +146,10 @@ def reduced(pieces: MdfPieces, events: Callable[[float], Sequence[Event]]) -> di
         full_rate = FullRate.around(times_s, _FULL_RATE * most / wanted)
         wanted = _FULL_RATE * most
     stretch = max(_PER_STRETCH, int(np.ceil(_PER_STRETCH * pieces.rows / (most - wanted))))
-    return joined((thinned(piece, full_rate, stretch) for piece in pieces), int(1.1 * most))
+    return joined(thinned(piece, full_rate, stretch) for piece in pieces)
 
 
-def joined(pieces: Iterable[Columns], expected: int) -> dict[str, NDArray[Any]]:
-    """Pieces behind each other, in no more memory than they take where they have no more samples than `expected`."""
-    found: dict[str, NDArray[Any]] = {}
-    used, room = 0, 0
-    for piece in pieces:
-        count = len(piece[TIME])
-        if used + count > room:
-            room = max(expected, 2 * room, used + count)
-            found = {name: _with_room(values, found.get(name), used, room) for name, values in piece.items()}
-        for name, values in piece.items():
-            found[name][used : used + count] = values
-        used += count
-    return {name: values[:used] for name, values in found.items()}
-
-
-def _with_room(like: NDArray[Any], before: NDArray[Any] | None, used: int, room: int) -> NDArray[Any]:
-    """Room for more of the same; what is not used of it takes no memory."""
-    made = np.empty(room, like.dtype)
-    if before is not None:
-        made[:used] = before[:used]
-    return made
+def joined(pieces: Iterable[Columns]) -> dict[str, NDArray[Any]]:
+    """Pieces behind each other, channel by channel: in no more memory than they take, and a channel."""
+    kept = [dict(piece) for piece in pieces]
+    return {name: np.concatenate([piece.pop(name) for piece in kept]) for name in list(kept[0])} if kept else {}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from datetime import datetime
 from importlib import metadata
 from math import isfinite
@@ -15,15 +14,16 @@ from numpy.typing import ArrayLike
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from hilbench.bench.prediction.announcements import Announcement
-from hilbench.bench.reports.diagnosis_updates import GapRow, ModelChange, part_words
+from hilbench.bench.reports.diagnosis_updates import FoundGap, FoundValue, GapRow, ModelChange, part_words
 from hilbench.block import Strict
 from hilbench.json_file import JsonFile
 from hilbench.plant.effects import find_effect
 from hilbench.results.provenance import Provenance
-from hilbench.results.verdict import RunVerdict, verdict_of
-from hilbench.runs.criteria import CriterionResult
-from hilbench.runs.events import Event
+from hilbench.runs.criteria import CriterionResult, RunVerdict, verdict_of
+from hilbench.runs.events import Changed, Event
+from hilbench.runs.figures import finite_or_none
 from hilbench.runs.metrics import Judgement, StepFigures
+from hilbench.topology.config import BenchConfig
 from hilbench.twin.estimated_errors import EstimatedModelError
 
 Count = Annotated[int, Field(ge=0)]
@@ -109,6 +109,13 @@ class Timing(_WithOptions):
     lost_frames_of: dict[str, Count | None] | None = None
     late: dict[str, Late] | None = None
     jitter_histogram: Histogram | None = None
+
+    @classmethod
+    def of(cls, config: BenchConfig, cycles: int, missed: int = 0, **known: Any) -> Self:
+        """Timing of a run of a bench; of what is not `known` nobody knows anything."""
+        unknown = dict.fromkeys(("jitter_us", "realtime_factor", "bus_load_pct"))
+        about = {"pace": config.pace, "cycle_us": config.cycle_time_s * 1e6, "cycles": cycles, "missed": missed}
+        return cls.model_validate(unknown | about | known)
 
     def metrics(self) -> dict[str, float | None]:
         """The timing as metrics that criteria can bound."""
@@ -223,14 +230,6 @@ def _shared(block: type[Strict], *sources: object) -> dict[str, Any]:
     }
 
 
-class ChangeRecord(Strict):
-    """A quantity that an event changed, SI; None where nobody knows the value."""
-
-    path: str
-    before: float | None
-    after: float | None
-
-
 class EventRecord(Strict):
     """A step, a ramp, or a mark (the twin was lost), from when to when (s of experiment time)."""
 
@@ -238,14 +237,13 @@ class EventRecord(Strict):
     text: str
     start_s: float
     end_s: float
-    changes: list[ChangeRecord]
+    changes: list[Changed]  #: SI; None where nobody knows the value
 
     @classmethod
     def of(cls, event: Event) -> Self:
         """Record for the file."""
         changes = [
-            ChangeRecord(path=change.path, before=_known(change.before), after=_known(change.after))
-            for change in event.changes
+            Changed(each.path, finite_or_none(each.before), finite_or_none(each.after)) for each in event.changes
         ]
         return cls(kind=event.kind, text=str(event), start_s=event.start_s, end_s=event.end_s, changes=changes)
 
@@ -268,7 +266,7 @@ class StepRecord(Strict):
             text=str(step.event) if step.event else str(step),
             time_s=step.start_s,
             until_s=step.until_s,
-            figures={name: _known(figure.value) for name, figure in step.figures.items()},
+            figures={name: finite_or_none(figure.value) for name, figure in step.figures.items()},
             reasons={name: figure.reason for name, figure in step.figures.items() if figure.reason},
         )
 
@@ -301,18 +299,6 @@ class PredictedLimit(_WithOptions):
         return cls(quantity=watched.name, **_shared(cls, made, made.crossing, watched))
 
 
-def _known(value: float | None) -> float | None:
-    return value if value is not None and isfinite(value) else None
-
-
-class FoundParameter(Strict):
-    """A parameter of an effect that was found, with its 95 % interval."""
-
-    value: float
-    ci95: tuple[float, float]
-    unit: str
-
-
 class EstimatedRecord(Strict):
     """A parameter of an effect as the twin found it while the machine ran, with its 95 % interval, and where.
 
@@ -340,16 +326,6 @@ class EstimatedRecord(Strict):
         )
 
 
-class GapRecord(Strict):
-    """Rms of what was measured less what was predicted, before and after, on data that neither model had seen."""
-
-    signal: str
-    unit: str
-    before: float
-    after: float
-    noise_floor: float
-
-
 class FoundRecord(Strict):
     """Finding while the bench ran: an effect that had come, or (`gone`) that of a model that had gone.
 
@@ -362,11 +338,11 @@ class FoundRecord(Strict):
     effect: str
     axis: int | None
     span: int | None
-    parameters: dict[str, FoundParameter]
+    parameters: dict[str, FoundValue]
     named_after_s: float
     applied_after_s: float | None
     tension_step_N: float | None
-    gap: GapRecord | None
+    gap: FoundGap | None
     gone: bool = False
     refused: bool = False
     tied_with: list[str] = Field(default_factory=list)
@@ -380,22 +356,7 @@ class FoundRecord(Strict):
     def of(cls, change: ModelChange) -> list[Self]:
         """Records for the file: one for each effect of a change."""
         both = [*((effect, False) for effect in change.effects), *((effect, True) for effect in change.gone)]
-        gap = None if change.gap is None else GapRecord(**asdict(change.gap))
-        return [
-            cls(
-                **_shared(cls, effect, change)
-                | {
-                    "t_s": change.begun_s,
-                    "gap": gap,
-                    "gone": gone,
-                    "parameters": {
-                        name: FoundParameter(value=each.value, ci95=(each.low, each.high), unit=each.unit)
-                        for name, each in effect.parameters.items()
-                    },
-                }
-            )
-            for effect, gone in both
-        ]
+        return [cls(**_shared(cls, effect, change) | {"t_s": change.begun_s, "gone": gone}) for effect, gone in both]
 
 
 class StreamRecord(Strict):

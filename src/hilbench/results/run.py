@@ -19,7 +19,6 @@ from hilbench.bench.lifecycle.participants import Participants, check_in_process
 from hilbench.bench.lifecycle.startup import copies_beside, held_bus
 from hilbench.bench.reports.change import Change
 from hilbench.bench.reports.notice import Notice
-from hilbench.bench.tasks.task import CompiledStages
 from hilbench.crash_report import crash_report
 from hilbench.errors import (
     EXIT_BENCH_FAULT,
@@ -37,10 +36,8 @@ from hilbench.processes import HeldSignals, finishing
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.journal import JournalWriter
 from hilbench.results.junit import write_junit
-from hilbench.results.keeping import Keeping
 from hilbench.results.provenance import Provenance, commit_of
-from hilbench.results.recording import Recording, read_recording
-from hilbench.results.recording_builder import RecordingBuilder
+from hilbench.results.recording import read_recording
 from hilbench.results.result import (
     Environment,
     Fault,
@@ -56,17 +53,14 @@ from hilbench.results.result import (
 from hilbench.results.run_folder import RunFolder
 from hilbench.results.spool import Spool
 from hilbench.results.trace import TraceWriter
-from hilbench.results.verdict import BY_OPERATOR
 from hilbench.runs import config as config_files
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig
-from hilbench.runs.criteria import Criterion, CriterionResult, evaluate
+from hilbench.runs.criteria import BY_OPERATOR, Criterion, CriterionResult, evaluate
 from hilbench.runs.estimated_errors import metrics as found_metrics
 from hilbench.runs.events import EventLog
-from hilbench.runs.look_ahead import LookAhead
 from hilbench.runs.metrics import Judgement, judge
-from hilbench.topology.sample import CycleSample
-from hilbench.topology.signal_kinds import Signal
+from hilbench.runs.set_point_schedule import LookAhead
 
 #: What a signal waits for once a run has ended.
 WRITING = "recording and result are written"
@@ -115,34 +109,6 @@ class Streamed(CycleObserver, Protocol):
 
     def record(self) -> StreamRecord:
         """Record of the stream until now."""
-
-
-class Recorder:
-    """Cycle observer that keeps every sample of a bench with these signals: in memory, or in its run folder."""
-
-    def __init__(self, signals: Sequence[Signal]) -> None:
-        names = [signal.name for signal in signals]
-        whole = {signal.name for signal in signals if signal.integer}
-        self._builder = RecordingBuilder(names, whole=whole)
-        self._of: CycleSample | None = None
-
-    def sample(self, sample: CycleSample) -> None:
-        """Keep one cycle."""
-        if sample is not self._of:
-            self._of, self._row = sample, sample.reals.data[: len(self._builder.names)].cast("B")
-        self._builder.append_packed(self._row)
-
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Compiled stages that record a sample."""
-        return Keeping(self._builder).pieces(sample)
-
-    def recording(self, started: datetime, comment: str) -> Recording:
-        """Recording of what was kept so far."""
-        return self._builder.build(started, comment)
-
-    def keep_in(self, spool: Spool) -> None:
-        """Before the first sample: keep all of them there."""
-        self._builder = spool
 
 
 def run_experiment(
@@ -201,9 +167,8 @@ def run_experiment(
 class RunRecord:
     """Record of a run: made before the bench, fed while it runs, finished after it.
 
-    `trace` and `journal` are to be entered, or closed, by whoever runs the bench; one who keeps a `recorder` and what
-    `happened` anyway shares them. Raises UnusableInputError when the
-    run folder can't be made.
+    `recorder` is an observer of the bench; `trace` and `journal` are to be entered, or closed, by whoever runs it; one
+    who keeps what `happened` anyway shares that. Raises UnusableInputError when the run folder can't be made.
     """
 
     def __init__(
@@ -213,7 +178,6 @@ class RunRecord:
         participants: Participants,
         *,
         name: str | None = None,
-        recorder: Recorder | None = None,
         happened: EventLog | None = None,
         announce: Callable[[str], None] = lambda text: None,
     ) -> None:
@@ -239,7 +203,7 @@ class RunRecord:
             part=1e6 * frames.part_MB,
             compress=frames.compress,
         )
-        self._spool = Spool(
+        self.recorder = Spool(  #: observer of the bench
             self.folder,
             loaded.config.signals,
             self._started,
@@ -247,19 +211,17 @@ class RunRecord:
             loaded.config.cycle_time_s,
             around_events=loaded.config.recording.full_rate == "around_events",
         )
-        self.recorder = recorder or Recorder(loaded.config.signals)
-        self.recorder.keep_in(self._spool)
 
     def of(self, bench: Bench) -> None:
         """Attach to a bench: it warns when the disk takes no more; full rate is around its notices, too."""
-        self._spool.warn, self.trace.warn = partial(bench.note, "recording"), partial(bench.note, "trace")
-        self._spool.alarms = lambda: [notice.last_time_s for notice in bench.notices]
+        self.recorder.warn, self.trace.warn = partial(bench.note, "recording"), partial(bench.note, "trace")
+        self.recorder.alarms = lambda: [notice.last_time_s for notice in bench.notices]
 
     def note(self, change: Change) -> None:
         """Keep what the bench did."""
         self.journal.write(change)
         self._happened.add(change)
-        self._spool.event(self._happened.time_s(change.cycle))
+        self.recorder.event(self._happened.time_s(change.cycle))
 
     def finish(self, bench: Bench, criteria: Sequence[Criterion], streams: Sequence[Streamed] = ()) -> RunOutcome:
         """Write recording and result of a bench that has been left. Raises BenchFaultError when it can't be done."""
@@ -268,9 +230,9 @@ class RunRecord:
         with ending.kept("record"):
             self._announce("write recording and result")
         ending.look_after_folder()
-        timing = measure_timing(bench, len(self._spool))
+        timing = measure_timing(bench, len(self.recorder))
         with ending.kept("record"):
-            self._spool.finish()
+            self.recorder.finish()
         judged = Judgement(())
         if folder.recording.exists():
             with ending.kept("metrics"):
@@ -370,25 +332,16 @@ def measure_timing(bench: Bench, recorded: int) -> Timing:
     where SYNC had a deadline."""
     config, exchange = bench.config, bench.exchange
     if exchange is None:
-        return Timing(
-            pace=config.pace,
-            cycle_us=config.cycle_time_s * 1e6,
-            cycles=0,
-            missed=0,
-            jitter_us=None,
-            realtime_factor=None,
-            bus_load_pct=None,
-        )
+        return Timing.of(config, 0)
     timing = exchange.timing
     bus_s = timing.cycles * config.cycle_time_s
     wall_s = (timing.ended_ns - timing.started_ns) * 1e-9
     lateness_us = np.asarray(exchange.pacing.lateness_ns, float) / 1000.0
     percentiles, histogram = jitter(lateness_us) if config.pace == "realtime" else (None, None)
-    return Timing(
-        pace=config.pace,
-        cycle_us=config.cycle_time_s * 1e6,
-        cycles=recorded,
-        missed=exchange.pacing.missed,
+    return Timing.of(
+        config,
+        recorded,
+        exchange.pacing.missed,
         late_set_points=exchange.pacing.late_set_points if config.pace == "realtime" else None,
         jitter_us=percentiles,
         realtime_factor=bus_s / wall_s if wall_s > 0 else None,

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from hilbench.errors import BenchFaultError
 from hilbench.files import usable
 from hilbench.results.mdf import MdfPieces, MdfWriter
-from hilbench.results.recording import BLOCK_ROWS, LEAST_SAMPLES, Recording, column_of, read_rows, read_section, typed
-from hilbench.results.recording_builder import RecordingBuilder
+from hilbench.results.recording import BLOCK_ROWS, LEAST_SAMPLES, Recording, column_of, read_rows, section_of
+from hilbench.results.recording_builder import Recorder
 from hilbench.results.reduction import STRETCH_S, FullRate, Survey, thinned
 from hilbench.results.run_folder import RunFolder
 from hilbench.topology.signal_kinds import TIME, Signal
@@ -62,8 +62,8 @@ class _Block:
         self.rows.view(np.int64)[:] = _EMPTY
 
 
-class Spool(RecordingBuilder):
-    """Rows of a run in its folder: `append` and `append_packed` as ever, `finish` once.
+class Spool(Recorder):
+    """Rows of a run in its folder: `as of others, `finish` once.
 
     `around_events`: full rate only around what `event` and `alarms` give (times, s), and what the rows show themselves.
     `warn` is called once, where the disk takes no more; the run goes on without recording then.
@@ -89,14 +89,13 @@ class Spool(RecordingBuilder):
         self.warn: Callable[[str], None] = lambda text: None
         self.alarms: Callable[[], Sequence[float]] = tuple
         self._times = _Times(cycle_time_s, [signal.name for signal in signals]) if around_events else None
-        whole = {signal.name for signal in signals if signal.integer}
         columns = [
             column_of(signal.name, np.dtype(np.int64 if signal.integer else np.float64), signal.unit)
             for signal in signals
         ]
         with usable(folder.unfinished_recording, "written", "space in a writable folder"):
             self._writer = MdfWriter(folder.unfinished_recording, columns, started, comment, thinned=around_events)
-            super().__init__([signal.name for signal in signals], BLOCK_ROWS, whole)
+            super().__init__(signals)
         self._thread = Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
 
@@ -108,14 +107,14 @@ class Spool(RecordingBuilder):
         if self._times is not None:
             self._times.add(time_s)
 
-    def build(self, start_time: datetime | None = None, comment: str = "") -> Recording:
-        """Build a recording of what was recorded so far, as it is read from the folder."""
+    def recording(self, start_time: datetime | None = None, comment: str = "") -> Recording:
+        """Recording of what was recorded so far, as it is read from the folder."""
         self._waiting.join()
-        finished = self._folder.recording.exists()
-        written = read_rows(self._folder.recording if finished else self._folder.unfinished_recording)
-        after_s = float(written.time_s[-1]) if len(written) else -inf
-        left = [] if finished else list(left_rows(self._folder, self._signals, after_s))
-        return replace(_together(written, left), start_time=start_time, comment=comment)
+        if self._folder.recording.exists():
+            found = read_rows(self._folder.recording)
+        else:
+            found = read_running(self._folder, self._signals)
+        return replace(found, start_time=start_time, comment=comment)
 
     def finish(self) -> None:
         """Write what is left; the recording appears. Raises BenchFaultError where not all samples are in it."""
@@ -251,33 +250,28 @@ def left_rows(folder: RunFolder, signals: Sequence[Signal], after_s: float) -> I
         yield columns_of(rows, names, whole)
 
 
-def all_rows(folder: RunFolder, signals: Sequence[Signal]) -> Iterator[Mapping[str, NDArray[Any]]]:
-    """The samples of a run that was killed, piece by piece: those of its recording, and those that waited for it."""
-    last_s = -inf
-    for piece in MdfPieces(folder.unfinished_recording):
-        last_s = float(piece[TIME][-1])
-        yield piece
-    yield from left_rows(folder, signals, last_s)
+class SpooledPieces(MdfPieces):
+    """The samples of a run that goes on, or was killed: the pieces of its recording, then those that wait for it."""
+
+    def __init__(self, folder: RunFolder, signals: Sequence[Signal]) -> None:
+        while True:
+            super().__init__(folder.unfinished_recording)
+            last_s = -inf
+            for piece in self.having([TIME]) if self.rows else ():
+                last_s = float(piece[TIME][-1])
+            self._left = list(left_rows(folder, signals, last_s))
+            if MdfPieces(self.path).rows == self.rows:  # nothing has moved meanwhile
+                break
+        self.piece_rows += [len(piece[TIME]) for piece in self._left]
+
+    def __iter__(self) -> Iterator[dict[str, NDArray[Any]]]:
+        yield from super().__iter__()
+        yield from self._left
 
 
 def read_running(folder: RunFolder, signals: Sequence[Signal]) -> Recording:
-    """The last samples, until now, of a run that goes on: those that are in no piece of its recording yet, and the
-    pieces before them as far as memory goes. Raises UnusableInputError."""
-    while True:
-        written = read_section(folder.unfinished_recording, inf)
-        after_s = float(written.time_s[-1]) if len(written) else -inf
-        left = list(left_rows(folder, signals, after_s))
-        if MdfPieces(folder.unfinished_recording).rows == written.samples:  # nothing has moved meanwhile
-            return _together(written, left)
-
-
-def _together(written: Recording, left: Sequence[Mapping[str, NDArray[Any]]]) -> Recording:
-    """Join what was read of a recording and the samples behind that."""
-    channels = {
-        name: typed(name, np.concatenate([values, *(each[name] for each in left)]).astype(np.float64))
-        for name, values in written.channels.items()
-    }
-    return replace(written, channels=channels)
+    """The last samples, until now, of a run that goes on, as far as memory goes. Raises UnusableInputError."""
+    return section_of(SpooledPieces(folder, signals), inf)
 
 
 def _cannot_write(path: Path, error: OSError) -> str:

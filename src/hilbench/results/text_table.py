@@ -1,4 +1,7 @@
-"""Tables as text: a header row of names, then rows of numbers separated by commas; `.gz` is unpacked."""
+"""Tables as text: a header row of names, then rows of numbers separated by commas; `.gz` is unpacked.
+
+Also messages about files that are no recording, and the most that a recording may unpack to.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.errors import UnusableInputError
-from hilbench.results.unreadable import EXPECTED_FORMATS, short_reason
+from hilbench.errors import UnusableInputError, one_line
 
 #: Columns of a table, characters of the row that names them, and of all below it, at most.
 MOST_COLUMNS, _LONGEST_HEADER, _MOST_CHARACTERS = 4096, 500_000, 500_000_000
@@ -93,3 +95,23 @@ def _problems(path: Path, lines: Sequence[str], width: int) -> Iterator[tuple[st
                 float(text)
             except ValueError:
                 yield f"{path}:{number}", f"value {position + 1} is '{text.strip()[:40]}', expected a number"
+
+
+#: Formats that are read and written.
+EXPECTED_FORMATS = "expected a recording: .mf4, .csv, .csv.gz or .parquet"
+#: Values of all channels that are unpacked from MDF or Parquet, at most: 8 GB of values, which 40 channels at 500 Hz
+#: fill in 13 hours.
+_MOST_VALUES = 1_000_000_000
+
+
+def check_unpacked(values: int, path: Path) -> None:
+    """Raise UnusableInputError where all channels together have more values than are unpacked."""
+    if values > _MOST_VALUES:
+        raise UnusableInputError(
+            path, f"{values / 1e6:.0f} million values when unpacked, expected at most {_MOST_VALUES / 1e6:.0f} million"
+        )
+
+
+def short_reason(error: BaseException) -> str:
+    """Reason of a library's error, on one line, 200 characters at most."""
+    return one_line(error)[:200]

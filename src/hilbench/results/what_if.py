@@ -1,26 +1,34 @@
-"""Predictions of what would come if something were commanded of a machine now: futures from a run's recording, or from
-what a run that still goes on has written."""
+"""Predictions of what would come if something were commanded of a machine now: futures from a run's recording, from
+what a run that still goes on has written, or from the last cycles received of a bench on a bus."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
 from types import SimpleNamespace
-from typing import Final, cast
+from typing import Final, Protocol, cast
 
 import numpy as np
 
+from hilbench.bench.machines.ranges import OPERATOR_OBJECTS
+from hilbench.bench.operator.operator_objects import INDEX
 from hilbench.bench.prediction.create import foreseeable, look_of
 from hilbench.bench.prediction.hindsight import Hindsight
 from hilbench.bench.prediction.task import Look
 from hilbench.bench.prediction.window import CYCLES, Window
+from hilbench.can.frame import Frame
+from hilbench.can.link import Link
+from hilbench.canopen.data_types import DataType
+from hilbench.canopen.identifiers import SYNC
+from hilbench.canopen.sdo_client import SdoAbortedError, SdoCommunicationError
 from hilbench.errors import UnusableInputError
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook
 from hilbench.prediction.plan import Asked, Move, Plan
 from hilbench.results.recording import Recording, check_recording, read_section
-from hilbench.results.recover import replay
+from hilbench.results.recover import replay, replay_frames
 from hilbench.results.run_folder import RunFolder
 from hilbench.results.spool import read_running
 from hilbench.topology import quantities
@@ -137,3 +145,51 @@ def _row(look: Look, recording: Recording, at_s: float | None, place: str) -> in
             return row
     when = "in this run" if at_s is None else f"at t = {at_s:g} s"
     raise UnusableInputError(place, f"{look.unready} {when}, expected a time at which the present is known")
+
+
+#: SYNCs that are listened to, and for how long at most, s.
+SYNCS: Final = 200
+_LONGEST_S: Final = 5.0
+_READ_S: Final = 0.05
+
+
+class Reader(Protocol):
+    """Reader of objects of other nodes (`hilbench.canopen.sdo_client.SdoClient`)."""
+
+    def upload(self, node_id: int, index: int, sub: int) -> bytes:
+        """The content of an object."""
+
+
+def received(config: BenchConfig, link: Link, reader: Reader) -> Recording:
+    """The last cycles of the bench that runs on this bus; its set points are read from its node.
+
+    Raises UnusableInputError where none runs, or its drives are not enabled.
+    """
+    frames: list[Frame] = []
+    syncs, until_s = 0, time.monotonic() + _LONGEST_S
+    while syncs <= SYNCS and time.monotonic() < until_s:
+        new = link.receive(_READ_S)
+        frames += new
+        syncs += sum(frame.can_id == SYNC for frame in new)
+    return from_frames(config, frames, reader)
+
+
+def from_frames(config: BenchConfig, frames: Sequence[Frame], reader: Reader) -> Recording:
+    """Last cycles from frames received already, in their order. Raises as `received`."""
+    place = f"bus {config.bus.address}"
+    if not any(frame.can_id == SYNC for frame in frames):
+        raise UnusableInputError(place, f"no SYNC within {_LONGEST_S:g} s, expected a bench that runs")
+    return _with_asked(config, replay_frames(config, frames, None, place, begun=True).recording, reader)
+
+
+def _with_asked(config: BenchConfig, recording: Recording, reader: Reader) -> Recording:
+    """The recording with what no frame shows: set-points, E of the emulated web."""
+    channels = dict(recording.channels)
+    for path, signal in foreseeable(config).items():
+        if path in OPERATOR_OBJECTS and np.isnan(channels[signal][-1]):
+            try:
+                data = reader.upload(config.master.node_id, INDEX, OPERATOR_OBJECTS[path][0])
+            except (SdoAbortedError, SdoCommunicationError):
+                continue  # the caller of such a signal gets the reason
+            channels[signal] = np.full(len(recording.time_s), DataType.REAL32.decode(data))
+    return Recording(channels)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import inf, isfinite
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -134,6 +134,13 @@ class CriterionResult(Strict):
         return {name: value for name, value in fields.items() if value or name not in silent}
 
 
+def failed_or_passed(name: str, reason: str = "") -> CriterionResult:
+    """A verdict without a number: failed for a `reason`, passed without one."""
+    return CriterionResult(
+        name=name, value=float(not reason), limit="≥ 1", unit="", passed=not reason, reason=reason or None
+    )
+
+
 def evaluate(
     criteria: Sequence[Criterion], metrics: Mapping[str, float | None], judged: Judgement | None = None
 ) -> list[CriterionResult]:
@@ -212,3 +219,19 @@ def _result(
         reason=reason,
         verifies=criterion.verifies,
     )
+
+
+#: Completed: to its end, without a criterion that says anything of it.
+RunVerdict = Literal["passed", "failed", "completed", "fault", "interrupted"]
+#: Source of the fault of a run that its operator has ended.
+BY_OPERATOR: Final = "operator"
+
+
+def verdict_of(first_fault: str | None, *, judged: bool, passed: bool | None) -> RunVerdict:
+    """Verdict by the source of the first fault, if any; also of an older file, whose `passed` is true where nothing was
+    judged."""
+    if first_fault is not None:
+        return "interrupted" if first_fault == BY_OPERATOR else "fault"
+    if not judged:
+        return "completed"
+    return "passed" if passed else "failed"

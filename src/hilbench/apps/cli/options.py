@@ -46,6 +46,8 @@ ForceOption = Annotated[
 #: Where no --timeout is given, s.
 SDO_TIMEOUT_S = 1.0
 TimeoutOption = Annotated[float, Option("--timeout", metavar="S", min=0.01, help="for the answer to each SDO request")]
+OutOption = Annotated[Path, Option("--out", help="folder in which the run folder is made")]
+RunsOption = Annotated[Path, Option("--runs", metavar="DIR", help="folder with the run folders")]
 RunArgument = Annotated[Path, Argument(metavar="RUN", help="run folder")]
 
 

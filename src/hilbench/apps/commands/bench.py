@@ -10,14 +10,22 @@ import typer
 from typer import Argument, Option
 
 from hilbench.apps.cli.config_file import load_config
-from hilbench.apps.cli.options import BusOption, ConfigArgument, JsonOption, PacedByOption, PaceOption, SetOption
+from hilbench.apps.cli.options import (
+    BusOption,
+    ConfigArgument,
+    JsonOption,
+    OutOption,
+    PacedByOption,
+    PaceOption,
+    SetOption,
+)
 
 
 def run(
     config: ConfigArgument,
     bus: BusOption = None,
     pace: PaceOption = None,
-    out: Annotated[Path, Option(help="folder in which the run folder is made")] = Path("runs"),
+    out: OutOption = Path("runs"),
     seed: Annotated[int | None, Option(help="seed of every random number of the run")] = None,
     changes: SetOption = None,
     start: Annotated[

@@ -14,6 +14,7 @@ from hilbench.apps.cli.options import (
     ConfigArgument,
     ForceOption,
     JsonOption,
+    OutOption,
     PaceOption,
     SetOption,
     print_json,
@@ -34,7 +35,7 @@ def commission(
     config: ConfigArgument,
     bus: BusOption = None,
     pace: PaceOption = None,
-    out: Annotated[Path, Option(help="folder in which the run folder is made")] = Path("runs"),
+    out: OutOption = Path("runs"),
     changes: SetOption = None,
     forward_only: Annotated[
         bool,
@@ -102,7 +103,7 @@ def commission(
             raise typer.Exit(EXIT_INTERRUPTED)
     experiment = {"steps": plan.steps, "criteria": [], "name": f"{loaded.config.name}_commissioning"}
     with ProgressDisplay(Console(stderr=True, highlight=False), quiet=json) as progress:
-        observer, announce = progress.of_run("run", 0.0)
+        observer, announce = progress.of_run("run", 0.0, loaded.config.cycle_time_s)
         bench = loaded.config.model_copy(update=experiment)
         outcome = run_experiment(
             type(loaded)(bench, loaded.document),

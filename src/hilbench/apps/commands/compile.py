@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -29,11 +30,11 @@ def compile_entry_points(
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    rooms = modules_by_room()
+    rooms = [[(module, "") for module in modules] for modules in modules_by_room()]
     # What is in one room calls the same functions, which a process compiles once.
     processes = min(jobs or os.cpu_count() or 1, len(rooms))
     with ProcessPoolExecutor(processes, get_context("spawn"), initializer=end_with_parent) as pool:
-        done = [count for counts in pool.map(_compile_modules, rooms) for count in counts]
+        done = [count for counts in pool.map(compile_functions, rooms) for count in counts]
     print(f"{len(done)} functions, {sum(done)} of them compiled")
 
 
@@ -67,13 +68,15 @@ def end_with_parent() -> None:
     Thread(target=watch, name="parent", daemon=True).start()
 
 
-def _compile_modules(modules: list[str]) -> list[int]:
-    """Compile modules; 1 for each entry point that had to be compiled, 0 for one that was found."""
+def compile_functions(wanted: Sequence[tuple[str, str]]) -> list[int]:
+    """Compile entry points, each by its module and name ("": all of the module); 1 for each that had to be compiled, 0
+    for one that was found."""
     from hilbench.compiled import entry_points
 
     compiled = []
-    for module in modules:
+    for module, name in wanted:
         for each in entry_points(import_module(module)):
-            each.compile(each.arguments)
-            compiled.append(sum(each.stats.cache_misses.values()))
+            if name in ("", each.py_func.__name__):
+                each.compile(each.arguments)
+                compiled.append(sum(each.stats.cache_misses.values()))
     return compiled

@@ -58,7 +58,7 @@ def convert(
     else:
         recording = read_foreign(source, columns, lambda text: report(source, text))
     if target.suffix.lower() == ".mcap":
-        from hilbench.apps.streams.mcap_file import write_mcap
+        from hilbench.apps.streams.sinks import write_mcap
 
         write_mcap(recording, target)
     else:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from importlib import import_module
 from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -66,14 +65,14 @@ def compile_on_all_cores(functions: list[Function], announce: Callable[[str, flo
     from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait  # most runs need none of it
     from multiprocessing import get_context
 
-    from hilbench.apps.commands.compile import end_with_parent
+    from hilbench.apps.commands.compile import compile_functions, end_with_parent
 
     chains = _chains(functions)
     processes, kept = min(len(os.sched_getaffinity(0)), len(chains)), 0
     next_word_s = time.monotonic() + _WORD_EVERY_S
     announce(f"compiling {len(functions)} functions, once on this machine: a minute or two", 0.0)
     with ProcessPoolExecutor(processes, get_context("spawn"), initializer=end_with_parent) as pool:
-        under_way = {pool.submit(_compile, chain) for chain in chains}
+        under_way = {pool.submit(compile_functions, chain) for chain in chains}
         while under_way:
             done, under_way = wait(under_way, _LOOK_EVERY_S, FIRST_EXCEPTION)
             for chain in done:
@@ -94,12 +93,3 @@ def _chains(functions: list[Function]) -> list[list[Function]]:
         room = each.module.split(".")[1]
         chains.setdefault(_WITH.get(room, room), []).insert(0, each)
     return list(chains.values())
-
-
-def _compile(chain: list[Function]) -> None:
-    from hilbench.compiled import entry_points
-
-    for function in chain:
-        for each in entry_points(import_module(function.module)):
-            if each.py_func.__name__ == function.name:
-                each.compile(each.arguments)

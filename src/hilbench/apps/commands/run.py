@@ -14,11 +14,11 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from hilbench.apps.cli.progress import RunObserver
 from hilbench.apps.cli.tables import table
 from hilbench.apps.report.panel import panels_of
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.tasks.task import MANY, CompiledStages
 from hilbench.errors import EXIT_CRITERION_FAILED, UnusableInputError
 from hilbench.forked_workers import ForkedWorker
 from hilbench.processes import finishing
@@ -32,8 +32,6 @@ from hilbench.runs.metrics import kind_of_figures
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
 
-_REFRESH_S = 0.2
-_TEXT_LINE_EVERY_S = 5.0
 #: What a signal waits for once a run has ended.
 _WRITING = "report and history are written"
 _COLOURS = {"passed": "green", "marginal": "yellow", "failed": "red", "error": "red"}
@@ -122,20 +120,18 @@ def _remember(outcome: RunOutcome) -> None:
             Console(stderr=True, highlight=False).print(f"not in the history: {error}", soft_wrap=True, markup=False)
 
 
-class Progress:
+class Progress(RunObserver):
     """Observer that shows the state of the run: a live table on a terminal, a line now and then elsewhere."""
 
     def __init__(self, console: Console, config: BenchConfig) -> None:
-        cycle_s, bitrate = config.cycle_time_s, config.bus.bitrate
+        live = console.is_terminal and not console.quiet  # else it would keep back what others print
+        super().__init__(self._show_sample, config.cycle_time_s, on_terminal=live)
         self._panels = panels_of(config.machine.kind, config.shape).panels
         self._signals = {signal.name for signal in config.signals}
         self._console = console
-        self._cycle_s = cycle_s
-        self._bits_per_cycle = bitrate * cycle_s
-        live = console.is_terminal and not console.quiet  # else it would keep back what others print
+        self._bits_per_cycle = config.bus.bitrate * config.cycle_time_s
         self._live = Live(console=console, auto_refresh=False, transient=True) if live else None
         self._started_s = time.monotonic()
-        self._next_s = 0.0
         self._phase = ""
 
     def __enter__(self) -> Progress:
@@ -163,26 +159,11 @@ class Progress:
         """The cyclic path runs from now on."""
         self._started_s = time.monotonic()
 
-    def sample(self, sample: CycleSample) -> None:
-        """Show the sample when it is time to (by the wall clock on a terminal, by experiment time elsewhere)."""
+    def _show_sample(self, sample: CycleSample) -> None:
         if self._live is not None:
-            now_s = time.monotonic()
-            if now_s >= self._next_s:
-                self._next_s = now_s + _REFRESH_S
-                self._live.update(self._table(sample), refresh=True)
-        elif sample.t_s >= self._next_s:
-            self._next_s = sample.t_s + _TEXT_LINE_EVERY_S
+            self._live.update(self._table(sample), refresh=True)
+        else:
             self._console.print("  ".join(f"{name} {value}" for name, value in self._rows(sample)), soft_wrap=True)
-
-    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
-        """Nothing is shown of cycles before it is time to."""
-
-        def cycles() -> int:
-            if self._live is not None:
-                return MANY if time.monotonic() < self._next_s else 0
-            return max(0, int((self._next_s - sample.t_s) / self._cycle_s) - 1)
-
-        return CompiledStages(cycles=cycles)
 
     def _rows(self, sample: CycleSample) -> list[tuple[str, str]]:
         factor = max(0.0, sample.t_s) / max(1e-3, time.monotonic() - self._started_s)

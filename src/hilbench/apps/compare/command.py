@@ -7,13 +7,13 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from hilbench.apps.cli.options import JsonOption, print_json
+from hilbench.apps.cli.options import JsonOption, RunsOption, print_json
 
 
 def compare(
     given: Annotated[list[str], Argument(metavar="RUN RUN...", help="run folders, names in --runs, or last")],
     out: Annotated[Path | None, Option(help="page with the signals in one picture each (HTML)")] = None,
-    runs: Annotated[Path, Option(metavar="DIR", help="folder with the run folders")] = Path("runs"),
+    runs: RunsOption = Path("runs"),
     json: JsonOption = False,
 ) -> None:
     """Compare runs: how their metrics differ from the first one's, and their signals in one picture.

@@ -17,7 +17,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
-from hilbench.results.verdict import RunVerdict
+from hilbench.runs.criteria import RunVerdict
 from hilbench.runs.events import find_events
 from hilbench.runs.metrics import find_metric
 

@@ -132,7 +132,8 @@ def found_on_the_bench(
     """
     runs = (out or Path()) / "runs"
     model = loaded.config.machine if model_path is None else any_model_from(model_path)
-    observer, announce = progress.of_run("run the bench", 0.0)
+    cycle_s = loaded.config.cycle_time_s
+    observer, announce = progress.of_run("run the bench", 0.0, cycle_s)
     first = run_bench(loaded, model, runs, observers=[observer], announce=announce)
     before = live_gap(first)
     recording, emulation = first.folder.recording, emulation_of(loaded.config)
@@ -145,7 +146,7 @@ def found_on_the_bench(
             break
         steps += found.proposed.steps
         found.rounds.append(f"{found.proposed.moves} ({'; '.join(found.proposed.reasons)})")
-        observer, announce = progress.of_run(f"run the bench with {found.proposed.moves}", 0.0)
+        observer, announce = progress.of_run(f"run the bench with {found.proposed.moves}", 0.0, cycle_s)
         again = run_bench(loaded, model, runs, more_steps=steps, observers=[observer], announce=announce)
         before, recording = live_gap(again), again.folder.recording
         diagnosis = diagnose(read_section(recording), model, recording, progress.announce, emulation)
@@ -153,7 +154,7 @@ def found_on_the_bench(
         found.proposed = proposed(diagnosis, read_section(recording), recording)
     if not diagnosis.effects:
         return found
-    observer, announce = progress.of_run("run the bench with the extended model", 0.97)
+    observer, announce = progress.of_run("run the bench with the extended model", 0.97, cycle_s)
     try:
         extended_run = run_bench(
             loaded, diagnosis.model, runs, more_steps=steps, observers=[observer], announce=announce

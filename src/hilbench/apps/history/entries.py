@@ -10,11 +10,10 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from hilbench.apps.history.store import COMMISSIONING, Entry, History, Quantity,
 from hilbench.diagnosis.commissioning import Commissioned
 from hilbench.errors import UnusableInputError, one_line
 from hilbench.files import write_whole
+from hilbench.json_file import JsonFile
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
@@ -44,6 +44,14 @@ DIAGNOSIS: Final = "diagnosis"
 _NORMAL_95: Final = 1.959964
 #: Parameters that say when or where in a turn, and not how much.
 _PLACES: Final = ("phase_rad", "time_s", "duration_s")
+
+
+class Commissioning(JsonFile):
+    """File of a commissioning in its run folder."""
+
+    described: ClassVar[str] = "what 'hilbench commission' has written"
+
+    quantities: list[Quantity]
 
 
 @dataclass(frozen=True)
@@ -119,7 +127,7 @@ def entries_of(folder: RunFolder, config: BenchConfig) -> Iterator[Entry]:
     sources = {
         TWIN: [*followed, *(_beside(folder) if followed else ())],
         DIAGNOSIS: list(_of_diagnosis(folder)),
-        COMMISSIONING: list(_of_commissioning(folder)),
+        COMMISSIONING: Commissioning.read(folder.commissioning).quantities if folder.commissioning.is_file() else [],
     }
     for source, quantities in sources.items():
         if quantities:
@@ -141,8 +149,7 @@ def keep_commissioning(folder: RunFolder, found: Iterable[Commissioned]) -> list
     Raises UnusableInputError for what can't be written.
     """
     quantities = [_quantity(one) for one in found]
-    data = {"quantities": [asdict(each) for each in quantities]}
-    write_whole(folder.commissioning, json.dumps(data, indent=2) + "\n")
+    Commissioning(quantities=quantities).write(folder.commissioning)
     remember(folder)
     return quantities
 
@@ -150,22 +157,6 @@ def keep_commissioning(folder: RunFolder, found: Iterable[Commissioned]) -> list
 def _quantity(one: Commissioned) -> Quantity:
     name = f"{place({'axis': one.axis, 'span': one.section})}.{one.effect}.{one.parameter}"
     return Quantity(name, one.value, one.deviation, one.unit, ", ".join(one.tied_with))
-
-
-@contextmanager
-def _content(path: Path, kind: str, by: str) -> Iterator[Any]:
-    """Object in a file of a run folder. Raises UnusableInputError for what is none, also while it is gone through."""
-    try:
-        yield json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UnusableInputError(path, f"is no {kind} ({one_line(error)}), expected what {by} has written") from error
-
-
-def _of_commissioning(folder: RunFolder) -> Iterator[Quantity]:
-    """Quantities measured by a commissioning, from its run folder."""
-    if folder.commissioning.is_file():
-        with _content(folder.commissioning, "commissioning", "'hilbench commission'") as found:
-            yield from (Quantity(**each) for each in found["quantities"])
 
 
 def _of_twin(recording: Recording) -> Iterator[Quantity]:
@@ -203,7 +194,8 @@ def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:
     """The parameters of the effects that were named, from the diagnosis in a run folder."""
     if not folder.diagnosis.is_file():
         return
-    with _content(folder.diagnosis, "diagnosis", "diagnose") as found:
+    try:
+        found = json.loads(folder.diagnosis.read_text(encoding="utf-8"))
         for effect in [*found["effects"], *found["nuisance"]]:
             where, tied = place(effect), ", ".join(effect["tied_with"])
             for name, parameter in effect["parameters"].items():
@@ -211,3 +203,6 @@ def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:
                 sd, value = (float(high) - float(low)) / (2.0 * _NORMAL_95), float(parameter["value"])
                 if name not in _PLACES and np.isfinite([sd, value]).all() and sd >= 0.0:
                     yield Quantity(f"{where}.{effect['effect']}.{name}", value, sd, str(parameter["unit"]), tied)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        text = f"is no diagnosis ({one_line(error)}), expected what diagnose has written"
+        raise UnusableInputError(folder.diagnosis, text) from error

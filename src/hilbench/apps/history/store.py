@@ -1,7 +1,7 @@
 """The history of stands: one SQLite file with what each run has found of the machine.
 
-Several runs may add at a time, one transaction a run (`hilbench.apps.library.database`). `entries.rebuild` makes it
-again from run folders.
+Several runs may add at a time: each waits for the lock, and adds in one transaction; whoever is killed while writing
+leaves the file whole. `entries.rebuild` makes it again from run folders.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from hilbench.apps.library.database import connected
 from hilbench.errors import UnusableInputError
 from hilbench.files import make_folder
 from hilbench.topology.config import BenchConfig
@@ -132,19 +131,36 @@ class History:
             raise UnusableInputError(self.path, "no such file, expected the history of a stand (runs make it)")
         make_folder(self.path.parent)
         try:
-            with closing(connected(self.path, _TABLES, _VERSION, _PATIENCE_S, self._refuse)) as connection:
+            with closing(sqlite3.connect(self.path, timeout=_PATIENCE_S, isolation_level="IMMEDIATE")) as connection:
+                connection.execute("PRAGMA foreign_keys = ON")
+                if _version_of(connection) != _VERSION:
+                    self._make_tables(connection)
                 yield connection
         except sqlite3.OperationalError as error:
             raise UnusableInputError(self.path, f"cannot be used ({error}), expected a history of stands") from error
         except sqlite3.DatabaseError as error:
             raise UnusableInputError(self.path, f"is no history of stands ({error})") from error
 
-    def _refuse(self, connection: sqlite3.Connection, version: int) -> None:
-        if version == 0:
-            raise UnusableInputError(self.path, "has tables of something else, expected a history of stands")
-        raise UnusableInputError(
-            self.path, f"is of version {version}, expected {_VERSION}: remove it, and hilbench history --rebuild"
-        )
+    def _make_tables(self, connection: sqlite3.Connection) -> None:
+        with connection:
+            connection.execute("BEGIN IMMEDIATE")
+            version = _version_of(connection)
+            if version == _VERSION:  # another process was faster
+                return
+            if version:
+                raise UnusableInputError(
+                    self.path,
+                    f"is of version {version}, expected {_VERSION}: remove it, and hilbench history --rebuild",
+                )
+            if connection.execute("SELECT count(*) FROM sqlite_schema").fetchone() != (0,):
+                raise UnusableInputError(self.path, "has tables of something else, expected a history of stands")
+            for statement in filter(str.strip, _TABLES.split(";")):
+                connection.execute(statement)
+            connection.execute(f"PRAGMA user_version = {_VERSION}")
+
+
+def _version_of(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 
 def _write(connection: sqlite3.Connection, entry: Entry) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from hilbench.apps.cli.options import JsonOption, print_json
+from hilbench.apps.cli.options import JsonOption, RunsOption, print_json
 from hilbench.errors import UnusableInputError, printable
 
 if TYPE_CHECKING:
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from hilbench.runs.criteria import CriterionResult
 
 app = typer.Typer(no_args_is_help=True, help="The runs in a folder: list, show, tag, note, trend, matrix, delete, gc.")
-
-RunsOption = Annotated[Path, Option("--runs", metavar="DIR", help="folder with the run folders")]
 
 
 def _option(name: str, kind: Any, option: str, metavar: str | None, help: str) -> Parameter:
@@ -114,11 +112,8 @@ def list_runs(
     from hilbench.apps.library.query import Query, values_of
 
     query = Query.parse(**filters)
-    library = _library(runs)
     shown = [*(metric or ()), *_metrics_of(query)]
-    every = html is not None or json
-    found = library.runs(query, None if every else [*shown, sort])
-    _check_names(library, [*(metric or ()), sort], found)
+    found = _library(runs).runs(query, [*(metric or ()), sort])
     if sort != "began":
         values = {run.path: values_of(run, [sort]).get(sort) for run in found}
         found.sort(key=lambda run: _largest_first(values[run.path]))
@@ -142,17 +137,6 @@ def _metrics_of(query: Query) -> list[str]:
     from hilbench.apps.library.query import FIELDS
 
     return [] if query.where is None else sorted(query.where.names - FIELDS.keys())
-
-
-def _check_names(library: Library, names: Sequence[str], runs: Sequence[RunEntry]) -> None:
-    from hilbench.did_you_mean import did_you_mean
-
-    known = library.known_names(runs)
-    for name in names:
-        if runs and name not in known:
-            raise UnusableInputError(
-                name, f"is nothing that a run here has, expected a metric or field{did_you_mean(name, known)}"
-            )
 
 
 def _largest_first(value: object) -> tuple[int, float, str]:
@@ -282,9 +266,7 @@ def trend(
     from hilbench.apps.library.query import Query
     from hilbench.apps.library.runs_picture import points_of, summary_of, write_runs_picture
 
-    library = _library(runs)
-    found = library.runs(Query.parse(**filters), [metric, over])
-    _check_names(library, [metric, over], found)
+    found = _library(runs).runs(Query.parse(**filters), [metric, over])
     points = points_of(found, metric, over)
     if not points:
         raise UnusableInputError(metric, f"no value in {_count(len(found))}, expected some to draw")

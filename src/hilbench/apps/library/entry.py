@@ -18,8 +18,7 @@ from hilbench.block import Strict
 from hilbench.errors import UnusableInputError, one_line
 from hilbench.files import content
 from hilbench.results.run_folder import RunFolder
-from hilbench.results.verdict import RunVerdict, verdict_of
-from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.criteria import CriterionResult, RunVerdict, verdict_of
 
 State = RunVerdict | Literal["unfinished", "running"]
 STATES: Final[tuple[State, ...]] = (*get_args(RunVerdict), "unfinished", "running")

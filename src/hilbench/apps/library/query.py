@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hilbench.apps.library.entry import STATES, RunEntry, read_entry
-from hilbench.apps.library.index import Index
+from hilbench.apps.library.index import runs_in
 from hilbench.apps.library.live_run import continues
 from hilbench.apps.library.where import Condition, parse_condition
 from hilbench.did_you_mean import did_you_mean
@@ -142,23 +142,33 @@ class Library:
     """The runs in a folder, through its index. `announce` gets a line when many folders are to be read."""
 
     def __init__(self, base: Path, announce: Callable[[str], None] = lambda text: None) -> None:
+        if not base.is_dir():
+            raise UnusableInputError(base, "no such folder, expected that in which the run folders are")
         self.base = base
-        self.index = Index(base)
         self._announce = announce
 
-    def runs(self, query: Query | None = None, metrics: Iterable[str] | None = ()) -> list[RunEntry]:
-        """Runs that meet the query, the newest first, with these metrics (None: all of theirs) and those of the
-        condition.
+    def runs(self, query: Query | None = None, names: Iterable[str] = ()) -> list[RunEntry]:
+        """Runs that meet the query, the newest first.
 
-        Raises UnusableInputError for no folder, and for a name in the condition that nothing has.
+        Raises UnusableInputError for a name in the condition, or among those of values to be shown, that nothing has.
         """
         query = query or Query()
-        asked = query.where.names if query.where is not None else frozenset[str]()
-        wanted = None if metrics is None else {*metrics, *asked}
-        runs = [_as_it_is(self.base, run) for run in self.index.runs(wanted, self._announce)]
-        if asked:
-            self._check(asked, runs)
-        return [run for run in runs if query.finds(run)]
+        runs = [_as_it_is(self.base, run) for run in runs_in(self.base, self._announce)]
+        known = {*FIELDS, *(name for run in runs for name in (*run.metrics, *run.settings))}
+        for name in sorted(query.where.names) if query.where is not None else ():
+            if name not in known and runs:
+                raise UnusableInputError(
+                    "--where",
+                    f"'{name}' is nothing that a run here has{did_you_mean(name, known) or ','} expected a metric, "
+                    f"a key that was set, or one of {', '.join(FIELDS)}",
+                )
+        found = [run for run in runs if query.finds(run)]
+        for name in names:
+            if name not in known and found:
+                raise UnusableInputError(
+                    name, f"is nothing that a run here has, expected a metric or field{did_you_mean(name, known)}"
+                )
+        return found
 
     def find(self, run: str) -> RunFolder:
         """The folder of a run: its name in the library, or the only one that begins so; ``last``: the newest.
@@ -168,7 +178,7 @@ class Library:
         path = self.base / run
         if (path / "config.yaml").is_file():
             return RunFolder.open(path)
-        runs = self.index.runs((), self._announce)
+        runs = runs_in(self.base, self._announce)
         if run == "last" and runs:
             return RunFolder.open(self.base / runs[0].path)
         meant = [each.path for each in runs if each.path.startswith(run) or each.name.startswith(run)]
@@ -180,20 +190,6 @@ class Library:
             )
         known = did_you_mean(run, [each.path for each in runs])
         raise UnusableInputError(run, f"no run of that name in {self.base}, expected a run folder or its name{known}")
-
-    def known_names(self, runs: Iterable[RunEntry] = ()) -> set[str]:
-        """Names that a condition may have."""
-        return {*FIELDS, *self.index.metric_names(), *(key for run in runs for key in run.settings)}
-
-    def _check(self, names: Iterable[str], runs: Sequence[RunEntry]) -> None:
-        known = self.known_names(runs)
-        for name in sorted(names):
-            if name not in known and runs:
-                raise UnusableInputError(
-                    "--where",
-                    f"'{name}' is nothing that a run here has{did_you_mean(name, known) or ','} expected a metric, "
-                    f"a key that was set, or one of {', '.join(FIELDS)}",
-                )
 
 
 def _as_it_is(base: Path, run: RunEntry) -> RunEntry:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -20,14 +19,12 @@ from hilbench.bench.prediction.create import foreseeable
 from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
 from hilbench.canopen.data_types import DataType
-from hilbench.canopen.identifiers import SYNC
 from hilbench.canopen.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
 from hilbench.canopen.sdo_client import SdoAbortedError, SdoClient, SdoCommunicationError
 from hilbench.errors import BusError, HilbenchError
 from hilbench.prediction.outlook import Outlook
 from hilbench.results.journal import append_to_journal
-from hilbench.results.received import SYNCS, from_frames
-from hilbench.results.what_if import Question, what_if
+from hilbench.results.what_if import Question, from_frames, what_if
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.main_quantities.of_kind import find_quantity
 from hilbench.topology.main_quantities.quantity import MainQuantity
@@ -67,30 +64,6 @@ def switches(config: BenchConfig) -> Iterator[Switch]:
         yield MODEL
 
 
-class RecentFrames:
-    """Frames of about `hilbench.results.received.SYNCS` cycles."""
-
-    def __init__(self) -> None:
-        self._received: deque[list[Frame]] = deque()
-        self._syncs = 0
-
-    def take(self, frames: list[Frame]) -> None:
-        """Add received frames."""
-        self._received.append(frames)
-        self._syncs += _syncs(frames)
-        while self._syncs - (oldest := _syncs(self._received[0])) > SYNCS:
-            self._received.popleft()
-            self._syncs -= oldest
-
-    def frames(self) -> list[Frame]:
-        """Frames in the order in which they were received."""
-        return [frame for received in self._received for frame in received]
-
-
-def _syncs(frames: list[Frame]) -> int:
-    return sum(frame.can_id == SYNC for frame in frames)
-
-
 class OperatorJournal:
     """Notes them in the run on a bus, where its folder is among `runs` on this machine; `channel` is the bus' name in a
     trace, `cycle_ns` the bench's cycle."""
@@ -126,6 +99,14 @@ class Foreseen:
         return self.text
 
 
+#: Notes what somebody has asked for, with its answer, and the value.
+Note = Callable[[str, float], None]
+
+
+def _nowhere(text: str, value: float) -> None:
+    """Note nothing."""
+
+
 class ChangeRequests:
     """Makes one request after the other, in a thread of its own; what each returns, and `ended`, says how it ended.
 
@@ -149,14 +130,22 @@ class ChangeRequests:
             key: quantity for key, quantity in self.changeable.items() if quantity.path in foreseeable(config)
         }
 
-    def ask(self, quantity: MainQuantity, value: float) -> Future[str]:
+    def ask(self, quantity: MainQuantity, value: float, note: Note = _nowhere) -> Future[str]:
         """Ask for a value, in the quantity's unit, as soon as those before it have been answered."""
-        return self._submit(self._thread, self._change, quantity, value)
+        return self._noted(self._submit(self._thread, self._change, quantity, value), value, note)
 
-    def send(self, switch: Switch, on: bool) -> Future[str]:
+    def send(self, switch: Switch, on: bool, note: Note = _nowhere) -> Future[str]:
         """Answer yes or no, as soon as the request before has been answered."""
         asked = f"{switch.title}: {'yes' if on else 'no'}"
-        return self._submit(self._thread, self._write, switch.path, asked, float(on), "0 or 1")
+        return self._noted(
+            self._submit(self._thread, self._write, switch.path, asked, float(on), "0 or 1"), float(on), note
+        )
+
+    @staticmethod
+    def _noted(future: Future[str], value: float, note: Note) -> Future[str]:
+        """The request, noted with its answer, also of who has left meanwhile."""
+        future.add_done_callback(lambda ended: None if ended.cancelled() else note(ended.result(), value))
+        return future
 
     def look_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> Future[Foreseen]:
         """Predict the outcome if the quantity went to a value, from the last frames received; nothing moves."""
@@ -215,7 +204,7 @@ class ChangeRequests:
         return Foreseen(f"{asked}: {wording(outlook)}", outlook)
 
     def upload(self, node_id: int, index: int, sub: int) -> bytes:
-        """The content of an object (`hilbench.results.received.Reader`)."""
+        """The content of an object (`hilbench.results.what_if.Reader`)."""
         with self._on_bus:
             return self._joined().upload(node_id, index, sub)
 

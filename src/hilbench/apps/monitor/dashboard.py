@@ -7,7 +7,6 @@ yes or no to what it proposes, and to look ahead a question of its present value
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from math import floor, log10
@@ -22,9 +21,8 @@ from textual.screen import ModalScreen
 from textual.validation import Number
 from textual.widgets import DataTable, Footer, Input, Log, Sparkline, Static
 
-from hilbench.apps.monitor.changes import ChangeRequests, OperatorJournal, RecentFrames
-from hilbench.apps.monitor.condition import Condition
-from hilbench.apps.monitor.picture import BusPicture, NodePicture, Trend
+from hilbench.apps.monitor.changes import ChangeRequests, OperatorJournal
+from hilbench.apps.monitor.picture import BusPicture, Condition, NodePicture, Trend
 from hilbench.can.link import Link
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP, send_emergency_stop
 from hilbench.errors import BusError, UnusableInputError
@@ -133,7 +131,6 @@ class Dashboard(App[None]):
         if changes.foreseeable:
             self.bind(_WHAT_IF_KEY, "what_if", description="what if")
         self._noted = 0
-        self._recent = RecentFrames()
 
     def compose(self) -> ComposeResult:
         """The widgets."""
@@ -180,7 +177,7 @@ class Dashboard(App[None]):
 
         def ask(yes: bool | None) -> None:
             if yes:
-                self._noted_when_answered(self._changes.ask(quantity, value), value)
+                self._changes.ask(quantity, value, self._note)
 
         text = f"Set {quantity.title} to {value:g} {quantity.in_unit}?\ny: yes   n: no   {_STOP_HINT}"
         self.push_screen(_Dialogue(text, {"y": True, "n": False}), ask)
@@ -191,7 +188,7 @@ class Dashboard(App[None]):
 
         def send(on: bool | None) -> None:
             if on is not None:
-                self._noted_when_answered(self._changes.send(switch, on), float(on))
+                self._changes.send(switch, on, self._note)
 
         text = f"{switch.title}?\ny: {switch.yes}\nn: {switch.no}\nEsc leaves it   {_STOP_HINT}"
         self.push_screen(_Dialogue(text, {"y": True, "n": False}), send)
@@ -209,7 +206,7 @@ class Dashboard(App[None]):
 
         def look(value: float | None) -> None:
             if value is not None:
-                self._changes.look_ahead(quantity, value, self._recent.frames())
+                self._changes.look_ahead(quantity, value, self._picture.recent_frames())
 
         self.push_screen(self._new_value(quantity, f"What if {quantity.title} went to a value"), look)
 
@@ -223,13 +220,6 @@ class Dashboard(App[None]):
                 self._notify(f"EMERGENCY STOP NOT SENT: {error}")
                 return
             self.run_worker(partial(self._note, "emergency stop"), thread=True)
-
-    def _noted_when_answered(self, asked: Future[str], value: float) -> None:
-        def note(answered: Future[str]) -> None:
-            if not answered.cancelled():
-                self._note(answered.result(), value)
-
-        asked.add_done_callback(note)
 
     def _note(self, text: str, value: float = 0.0) -> None:
         """Into the journal; not in the dashboard's own thread, a trace may be long."""
@@ -250,9 +240,7 @@ class Dashboard(App[None]):
     # -- received frames -----------------------------------------------------------------------------------
 
     def _read(self) -> None:
-        frames = self._link.receive(0.0)
-        self._picture.take(frames)
-        self._recent.take(frames)
+        self._picture.take(self._link.receive(0.0))
         for text in self._changes.ended():
             self._notify(text)
 

@@ -9,16 +9,18 @@ import time
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from enum import Enum
+from itertools import chain
 from math import isinf, nan
 from typing import Any
 
 import numpy as np
 
 from hilbench.apps.canopen_tools.bus_scan import nmt_states
-from hilbench.apps.monitor.condition import SILENCE_S, START_ALL, BenchWatch, Condition
 from hilbench.can.frame import EXTENDED_FLAG, Frame
 from hilbench.can.wire import frame_bits
-from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, NMT, SYNC, node_of
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
+from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, NMT, SYNC, NmtCommand, node_of
 from hilbench.cia402 import objects
 from hilbench.cia402.axis import of_first_axis
 from hilbench.cia402.object_units import si_unit
@@ -46,6 +48,79 @@ _MISSED = 25
 _HEARTBEATS_MISSED = 4
 #: Share of late answers from which on a participant is shown.
 _WORTH_SHOWING = 0.005
+#: Cycles whose frames are kept: so many say what would come if (`hilbench.results.what_if.SYNCS`).
+_RECENT = 200
+#: Name of the twin's status among its values.
+_STATUS = "twin_status"
+
+
+_ALL = 0
+#: With it a bench begins.
+START_ALL = bytes((NmtCommand.START, _ALL))
+#: NMT commands with which a bench lets its nodes go: stop, enter PRE-OPERATIONAL.
+_LET_GO = (NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL)
+#: Wall time without a SYNC, or without anything of a node, after which what it said is old.
+SILENCE_S = 1.0
+
+
+class Condition(Enum):
+    """Condition of a bench in the words of the monitor."""
+
+    NOT_RECEIVED = "not received"
+    RUNNING = "running"
+    STALE = "STALE"
+    ENDED = "ENDED"
+    EMERGENCY_STOP = "E-STOP"
+
+
+class BenchWatch:
+    """Follows the frames of one bus; times are s of the monotonic clock."""
+
+    def __init__(self, master_id: int) -> None:
+        self._heartbeat = HEARTBEAT + master_id
+        self._sync_s: float | None = None
+        self._master_s: float | None = None
+        self._ended: Condition | None = None
+
+    def take(self, frame: Frame, now_s: float) -> None:
+        """Take a received frame."""
+        if frame.can_id == SYNC:
+            self._sync_s = now_s
+            if self._ended is Condition.ENDED:
+                self._ended = None  # another master released nodes: the bench goes on
+        elif frame.can_id == EMERGENCY_STOP_COB_ID:
+            self._ended = Condition.EMERGENCY_STOP
+        elif frame.can_id == NMT and len(frame.data) == 2:
+            self._command(frame.data[0], frame.data[1])
+        elif frame.can_id == self._heartbeat:
+            self._master_s = now_s
+
+    def _command(self, command: int, node_id: int) -> None:
+        if command == NmtCommand.START:
+            self._ended = None
+        elif command in _LET_GO and node_id == _ALL and self._ended is None and self._sync_s is not None:
+            self._ended = Condition.ENDED
+
+    def condition(self, now_s: float) -> Condition:
+        """Present condition of the bench."""
+        if self._ended is not None:
+            return self._ended
+        if self._sync_s is None:
+            return Condition.NOT_RECEIVED
+        return Condition.RUNNING if now_s - self._sync_s <= SILENCE_S else Condition.STALE
+
+    def text(self, now_s: float) -> str:
+        """The condition with what is known of it."""
+        alive = self._master_s is not None and now_s - self._master_s <= SILENCE_S
+        why = "the bench pauses" if alive else "nothing of the bench either"
+        known = {
+            Condition.EMERGENCY_STOP: ": an emergency stop was received, nodes are not started again yet",
+            Condition.ENDED: ": the bench has let its nodes go",
+            Condition.STALE: f": no SYNC for {now_s - (self._sync_s or 0.0):.0f} s, {why}",
+            Condition.NOT_RECEIVED: ": no SYNC on this bus yet (a run --in-process is on none)",
+        }
+        condition = self.condition(now_s)
+        return f"{condition.value}{known.get(condition, '')}"
 
 
 @dataclass
@@ -141,16 +216,11 @@ class BusPicture:
     def __post_init__(self) -> None:
         nodes = Nodes(self.config)
         self.trends = trends_of(self.config.machine.kind, self.config.shape)  #: what the twin says
-        self._states = {pdo.cob_id: pdo for pdo in nodes.io.sent if pdo.period == 1}
         contents = zip(nodes.io.sent, nodes.io.data.sent, strict=True)
-        #: How sure that is: PDOs that come seldom, and the names of what they carry.
-        self._quality = {
-            pdo.cob_id: (pdo, [signal.name for signal in content.signals])
-            for pdo, content in contents
-            if pdo.period != 1
-        }
-        #: Their last frames; a batch of frames may end between them and the SYNC after them.
-        self._state_data = dict.fromkeys(self._states, b"")
+        #: What the twin sends, with the names of the values in it; and the last values by these.
+        self._twin = {pdo.cob_id: (pdo, [signal.name for signal in content.signals]) for pdo, content in contents}
+        self._twin[nodes.io.status.cob_id] = nodes.io.status, ["", "", _STATUS]
+        self._said: dict[str, float] = {}
         self._tpdos: dict[int, tuple[NodePicture, Any, tuple[int, ...], DriveUnits]] = {}
         parts = self.config.parts
         self.nodes = {part.name: NodePicture(part.name, part.node.node_id) for part in parts}
@@ -167,13 +237,12 @@ class BusPicture:
             if part.role in (Role.AXIS, Role.LOAD_MOTOR)
         }
         self._answers["virtual_io"] = nodes.io.status.cob_id
-        self._status = nodes.io.status
-        self.model = ""  #: of the twin, where it is another than the configured one
         self._ages = dict.fromkeys(self._answers, 0)
         self.timeliness = Timeliness(tuple(self._answers), self.config.cycle_time_s)
         self._answered: set[int] = set()  # since the last SYNC
         self._bits: deque[int] = deque([0], maxlen=_WINDOW)
         self._sync_ns: deque[int] = deque(maxlen=_WINDOW)
+        self._recent: deque[list[Frame]] = deque([[]], maxlen=_RECENT)  # from one SYNC to the next
         self._watch = BenchWatch(self.config.master.node_id)
         self._now_s = time.monotonic()
         self._received: dict[
@@ -190,6 +259,9 @@ class BusPicture:
         heartbeats: list[Frame] = []
         for frame in frames:
             self._bits[-1] += frame_bits(frame)
+            if frame.can_id == SYNC:
+                self._recent.append([])
+            self._recent[-1].append(frame)
             if frame.can_id & EXTENDED_FLAG:
                 continue
             self._watch.take(frame, self._now_s)
@@ -205,34 +277,34 @@ class BusPicture:
             else:
                 self._answered.add(frame.can_id)
                 last[frame.can_id] = frame.data
-                if frame.can_id in self._state_data:
-                    self._state_data[frame.can_id] = frame.data
+                if frame.can_id in self._twin:
+                    self._take_twin(frame)
         self._decode(last)
-        self._look_at_quality(last)
-        status = last.get(self._status.cob_id, b"")
-        if len(status) == self._status.size:
-            self._look_at_model(int(self._status.unpack(status)[2]))
-        if any(len(last.get(cob_id, b"")) == pdo.size for cob_id, pdo in self._states.items()):
-            self._mark_received(self.config.twin.node.node_id, "PDO", _MISSED)
         for node_id, state in nmt_states(heartbeats).items():
             self._mark_received(node_id, "heartbeat", _HEARTBEATS_MISSED * self._heartbeat_cycles)
             self._nmt(node_id, state)
         self._look_for_silence()
 
-    def _look_at_quality(self, last: dict[int, bytes]) -> None:
-        """Take the standard deviations that the twin publishes."""
-        for cob_id, (pdo, names) in self._quality.items():
-            data = last.get(cob_id, b"")
-            if len(data) == pdo.size:
-                stated = dict(zip(names, pdo.unpack(data), strict=True))
-                for trend in self.trends:
-                    if trend.deviation in stated:
-                        trend.stated = float(stated[trend.deviation])
+    def recent_frames(self) -> list[Frame]:
+        """Frames of the last cycles, in the order in which they were received."""
+        return list(chain.from_iterable(self._recent))
 
-    def _look_at_model(self, status: int) -> None:
-        """Take the twin's model status (2100h sub 3)."""
-        changing, changed = status & TwinStatus.MODEL_CHANGING, status & TwinStatus.MODEL_CHANGED
-        self.model = "another model is evaluated" if changing else "model with what was found" if changed else ""
+    def _take_twin(self, frame: Frame) -> None:
+        """Take values of the twin; a batch of frames may end between them and the SYNC after them."""
+        pdo, names = self._twin[frame.can_id]
+        if len(frame.data) == pdo.size:
+            self._said.update(zip(names, pdo.unpack(frame.data), strict=True))
+            if pdo.period == 1 and _STATUS not in names:
+                self._mark_received(self.config.twin.node.node_id, "PDO", _MISSED)
+            for trend in self.trends:
+                trend.stated = self._said.get(trend.deviation, nan)
+
+    @property
+    def model(self) -> str:
+        """Model of the twin, where it is another than the configured one (2100h sub 3)."""
+        status = int(self._said.get(_STATUS, 0))
+        changed = "model with what was found" if status & TwinStatus.MODEL_CHANGED else ""
+        return "another model is evaluated" if status & TwinStatus.MODEL_CHANGING else changed
 
     def _mark_received(self, who: int | str, what: str, within_cycles: float) -> None:
         """Note that a message was received. `who`: a node by its id, or a part by its name."""
@@ -280,11 +352,9 @@ class BusPicture:
         self.cycles += 1
         self._bits.append(0)
         self._sync_ns.append(frame.time_ns)
-        whole = all(len(self._state_data[cob_id]) == pdo.size for cob_id, pdo in self._states.items())
-        if self.cycles % self.every == 0 and whole:
-            values = [value for cob_id, pdo in self._states.items() for value in pdo.unpack(self._state_data[cob_id])]
-            for trend, value in zip(self.trends, values, strict=True):
-                trend.values.append(float(value))
+        if self.cycles % self.every == 0 and all(trend.signal in self._said for trend in self.trends):
+            for trend in self.trends:
+                trend.values.append(self._said[trend.signal])
 
     def _look_at_answers(self) -> None:
         """Update the age of each node's answer to SYNC; a node that sends nothing at all is not late."""

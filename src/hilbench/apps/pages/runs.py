@@ -37,7 +37,7 @@ def routes(base: Path, *, replays: bool = False) -> list[BaseRoute]:
 
     def all_runs() -> Response:
         try:
-            runs = Library(base).runs(metrics=None)
+            runs = Library(base).runs()
         except UnusableInputError as error:
             return PlainTextResponse(f"No runs: {error}", 404)
         replay: Link | None = (lambda run: f"/replay/{quote(run.path)}") if replays else None

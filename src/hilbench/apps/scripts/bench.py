@@ -24,10 +24,11 @@ from hilbench.errors import UnusableInputError
 from hilbench.processes import finishing
 from hilbench.results.commissioned import commissioned_text
 from hilbench.results.recording import Recording
-from hilbench.results.run import WRITING, Recorder, RunRecord
+from hilbench.results.recording_builder import Recorder
+from hilbench.results.run import WRITING, RunRecord
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load_with_overrides
-from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.criteria import CriterionResult, failed_or_passed
 from hilbench.runs.events import EventLog
 from hilbench.runs.metrics import Judgement, Metrics, judge
 from hilbench.topology import quantities
@@ -45,13 +46,6 @@ class StepResponse:
     step_time_s: float
     metrics: Metrics
     not_judged: dict[str, str] = field(default_factory=dict)
-
-
-def failed_or_passed(name: str, reason: str = "") -> CriterionResult:
-    """A verdict without a number: failed for a `reason`, passed without one."""
-    return CriterionResult(
-        name=name, value=float(not reason), limit="≥ 1", unit="", passed=not reason, reason=reason or None
-    )
 
 
 def _on_standard_error(text: str) -> None:
@@ -99,7 +93,7 @@ class Bench(bench.Bench):
         check_bench(loaded.config, loaded.document)
         if participants is Participants.IN_PROCESS:
             check_in_process(loaded.config)
-        self._recorder = Recorder(loaded.config.signals)
+        self._recorder: Recorder = Recorder(loaded.config.signals)
         self._made = datetime.now(UTC)
         tell = announce or (lambda text: None)
         if (known := commissioned_text(loaded.config.twin.priors, self._made)) is not None:
@@ -162,13 +156,13 @@ class Bench(bench.Bench):
                 self._out,
                 self._participants,
                 name=self._name,
-                recorder=self._recorder,
                 happened=self._happened,
             )
         except BaseException:
             self._resources.close()
             raise
         record.of(self)
+        self._recorder = self._observers[0] = record.recorder
         self._tap, self._work_folder = record.trace, record.folder.path
 
     def _note_change(self, change: Change) -> None:

@@ -60,7 +60,8 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
 
     It leaves a run folder, named after the test.
     """
-    from hilbench.apps.scripts.bench import Bench, failed_or_passed
+    from hilbench.apps.scripts.bench import Bench
+    from hilbench.runs.criteria import failed_or_passed
 
     options = request.config
     config = options.getoption("--hilbench-config") or next(iter(options.getini("hilbench_config")), None)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
 import sys
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from multiprocessing.connection import Connection
 
-from hilbench.apps.streams.sinks import Sink, Target, open_sink, rows_of
+from hilbench.apps.streams.sinks import Sink, open_sink, rows_of
 from hilbench.errors import UnusableInputError
 from hilbench.exit_status import ended
 from hilbench.real_time import give_way
@@ -24,35 +22,25 @@ def main() -> None:
     """Send samples to the target until the bench closes its end, or disconnects."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.nice(5)
-    with socket.socket(fileno=int(sys.argv[1])) as bench:
-        asked, rest = _asked(bench)
-        target = Target(**asked["target"] | {"path": Path(asked["target"]["path"])})
-        signals = [Signal(*each) for each in asked["signals"]]
-        if asked["leave"] is not None:
-            give_way(set(asked["leave"]))
+    with socket.socket(fileno=int(sys.argv[1])) as bench, Connection(os.dup(bench.fileno())) as connection:
         try:
-            sink = open_sink(target, signals, asked["bench"], asked["began_s"])
-        except UnusableInputError as error:
-            bench.sendall(f"{error.place}\0{error.problem}".encode())
+            target, signals, name, began_s, leave = connection.recv()
+        except EOFError:  # the bench has ended
             return
-        bench.sendall(b"ready")
-        take(bench, sink, signals, rest)
+        if leave is not None:
+            give_way(leave)
+        try:
+            sink = open_sink(target, signals, name, began_s)
+        except UnusableInputError as error:
+            connection.send((error.place, error.problem))
+            return
+        connection.send(None)
+        take(bench, sink, signals)
 
 
-def _asked(bench: socket.socket) -> tuple[dict[str, Any], bytes]:
-    data = b""
-    while b"\n" not in data:
-        piece = bench.recv(_PIECE)
-        if not piece:
-            sys.exit(0)
-        data += piece
-    line, _, rest = data.partition(b"\n")
-    return json.loads(line), rest
-
-
-def take(bench: socket.socket, sink: Sink, signals: Sequence[Signal], rest: bytes = b"") -> None:
+def take(bench: socket.socket, sink: Sink, signals: Sequence[Signal]) -> None:
     """Hand every sample to the sink, until there are no more."""
-    size = 8 * len(signals)
+    size, rest = 8 * len(signals), b""
     try:
         while piece := bench.recv(_PIECE):
             data = rest + piece

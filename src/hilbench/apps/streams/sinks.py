@@ -12,11 +12,14 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from hilbench.entry_points import loaded
 from hilbench.errors import UnusableInputError
 from hilbench.topology.signal_kinds import TIME, Signal
+
+if TYPE_CHECKING:
+    from hilbench.results.recording import Recording
 
 #: Entry points of the sinks of other packages, by kind.
 SINKS: Final = "hilbench.sinks"
@@ -307,3 +310,21 @@ class MqttSink:
         """Send what was published, and disconnect."""
         self._client.disconnect()
         self._client.loop_stop()
+
+
+def write_mcap(recording: Recording, path: Path) -> None:
+    """Write it; a channel that no part has is in the group `other`. Raises UnusableInputError."""
+    import numpy as np
+
+    from hilbench.files import written_whole
+    from hilbench.results.recording import NO_START_TIME
+    from hilbench.topology.signals import find_signal, unit_of
+
+    began = recording.start_time or NO_START_TIME
+    names = list(recording.channels)
+    signals = [find_signal(name) or Signal(name, unit_of(name), "", "other") for name in names]
+    with written_whole(path) as partial:
+        sink = FoxgloveSink.file(partial, signals, recording.comment, began.timestamp())
+        for row in np.column_stack([np.asarray(recording[name], np.float64) for name in names]).tolist():
+            sink.take(row)
+        sink.close()

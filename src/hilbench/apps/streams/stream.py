@@ -6,14 +6,14 @@ counted. Only a file beside a bench in lockstep, whose time is no clock's, is wa
 
 from __future__ import annotations
 
-import json
+import os
 import socket
 import struct
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import asdict
+from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing.connection import Connection
 from operator import attrgetter
 from pathlib import Path
 from typing import Final
@@ -67,25 +67,15 @@ class Stream:
     def _open(self, config: BenchConfig) -> None:
         cores = config.realtime.cores
         away = [core for core in (cores.bench, cores.hardware, cores.twin) if core is not None]
-        target = self.target
-        asked = {
-            "target": asdict(target) | {"path": str(target.path)},
-            "bench": config.name,
-            "began_s": time.time(),
-            "leave": away if config.pace == "realtime" else None,
-            "signals": [(each.name, each.unit, each.description, each.group, each.integer) for each in config.signals],
-        }
-        self._socket.settimeout(_LONGEST_START_S)
-        try:
-            self._socket.sendall(json.dumps(asked).encode() + b"\n")
-            message = self._socket.recv(4096).decode()
-        except OSError as error:
-            message = str(error)
-        if message != "ready":
+        leave = set(away) if config.pace == "realtime" else None
+        problem: tuple[str, str] | None = str(self.target), "ended"
+        with suppress(OSError, EOFError), Connection(os.dup(self._socket.fileno())) as connection:
+            connection.send((self.target, config.signals, config.name, time.time(), leave))
+            if connection.poll(_LONGEST_START_S):
+                problem = connection.recv()
+        if problem is not None:
             self._end()
-            raise UnusableInputError(
-                *(message.partition("\0")[::2] if "\0" in message else (str(target), message or "ended"))
-            )
+            raise UnusableInputError(*problem)
 
     @property
     def pid(self) -> int:

@@ -35,7 +35,7 @@ from hilbench.files import make_folder, write_whole, written_whole
 from hilbench.forked_workers import ForkedWorker, forked_workers
 from hilbench.processes import ChildProcess, finishing
 from hilbench.real_time import for_good
-from hilbench.results.run import Recorder
+from hilbench.results.recording_builder import Recorder
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load_with_overrides, parse_change
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ from hilbench.results.web_line_synchronization import (
     require_one_span,
 )
 from hilbench.runs.config import load
+from hilbench.runs.figures import finite_or_none
 
 #: The published method transfers no state; a quicker tension loop would only follow its errors.
 _PUBLISHED, _PUBLISHED_BANDWIDTH = "pid", "3.0"
@@ -131,7 +131,7 @@ def as_data(comparison: Comparison) -> dict[str, Any]:
         "step_s": comparison.step_s,
         "bound": {
             "time_to_1pct_s": comparison.bound_time_to_1pct_s,
-            "final_deviation_Pa": _known(comparison.bound_sd_Pa[-1]),
+            "final_deviation_Pa": finite_or_none(comparison.bound_sd_Pa[-1]),
         },
         "methods": [
             {
@@ -143,18 +143,13 @@ def as_data(comparison: Comparison) -> dict[str, Any]:
                 "largest_error_pct": result.largest_error_pct,
                 "covered": result.covered,
                 "final_E_Pa": result.final_E_Pa,
-                "final_deviation_Pa": _known(result.final_sd_Pa),
+                "final_deviation_Pa": finite_or_none(result.final_sd_Pa),
                 "cpu_us_per_cycle": result.cpu_us,
                 "also": {
-                    name: {"value": _known(values[0][-1]), "deviation": _known(values[1][-1])}
+                    name: {"value": finite_or_none(values[0][-1]), "deviation": finite_or_none(values[1][-1])}
                     for name, values in result.track.nuisances.items()
                 },
             }
             for result in comparison.results
         ],
     }
-
-
-def _known(value: float) -> float | None:
-    """JSON has no infinite deviation."""
-    return float(value) if isfinite(value) else None

@@ -101,8 +101,7 @@ def _running(path: Path, bus: str | None, at_s: float | None) -> tuple[str, Expe
     from hilbench.can.open import open_link, open_python_can
     from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
     from hilbench.errors import UnusableInputError
-    from hilbench.results.received import received
-    from hilbench.results.what_if import require_predictable
+    from hilbench.results.what_if import received, require_predictable
 
     if at_s is not None:
         raise UnusableInputError("--at", f"{at_s:g} s of a bench that runs, expected none: it is asked now")

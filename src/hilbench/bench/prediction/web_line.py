@@ -64,7 +64,7 @@ class LineLook(Look):
         self._torques = [f"tau{k}_Nm" for k in axes]
         self._commands = [f"v{k}_cmd_m_s" for k in axes]
         self._tensions = [f"F{shape.numbered(span)}_sim_N" for span in spans]
-        #: E of each span by its path; that of all spans is a move of each (`hilbench.runs.look_ahead`).
+        #: E of each span by its path; that of all spans is a move of each (`hilbench.runs.set_point_schedule`).
         self._moduli = [modulus_of_span(span) if shape.spans > 1 else YOUNGS_MODULUS for span in spans]
         known = shape.numbered(shape.estimated[0])
         self._modulus, self._modulus_sd = f"E{known}_sim_Pa", f"E{known}_sd_Pa"

@@ -32,8 +32,7 @@ class FoundValue:
     """A parameter of an effect with its 95 % interval, in `unit`."""
 
     value: float
-    low: float
-    high: float
+    ci95: tuple[float, float]
     unit: str
 
 

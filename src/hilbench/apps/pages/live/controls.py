@@ -269,17 +269,13 @@ class Controls:
         known = self._changes.changeable if isinstance(action, Set) else self._changes.switches
         if action.key not in known:
             return ControlAnswer(f"'{action.key}', expected one of {', '.join(known)}", False)
+        note = partial(self._listener.note, who)
         if isinstance(action, Set):
-            future, value = self._changes.ask(self._changes.changeable[action.key], action.value), action.value
+            future = self._changes.ask(self._changes.changeable[action.key], action.value, note)
         else:
-            future, value = self._changes.send(self._changes.switches[action.key], action.yes), float(action.yes)
-        future.add_done_callback(partial(self._note, who, value))  # also of who has left meanwhile
+            future = self._changes.send(self._changes.switches[action.key], action.yes, note)
         answer = await self._ended(future)
         return ControlAnswer(answer, answer.endswith(": set"))
-
-    def _note(self, who: str, value: float, future: Future[str]) -> None:
-        if not future.cancelled():
-            self._listener.note(who, future.result(), value)
 
     async def _look_ahead(self, action: WhatIf) -> ControlAnswer:
         if action.key not in self._changes.foreseeable:

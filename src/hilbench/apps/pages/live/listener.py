@@ -13,9 +13,7 @@ from math import isfinite
 from typing import Any, Final
 
 from hilbench.apps.library.live_run import continues
-from hilbench.apps.monitor.changes import RecentFrames
-from hilbench.apps.monitor.condition import Condition
-from hilbench.apps.monitor.picture import BusPicture
+from hilbench.apps.monitor.picture import BusPicture, Condition
 from hilbench.apps.pages.live.history import Entry, Events, History, Weight
 from hilbench.apps.pages.live.machines.kinds import live_panels, signals_of
 from hilbench.apps.pages.live.samples import FindRun, LiveSamples
@@ -61,7 +59,6 @@ class Listener:
         self._find_run = find_run
         self._clock_s = clock_s
         self._picture = BusPicture(config)
-        self._recent = RecentFrames()
         self._link: Link | None = None
         self._samples: LiveSamples | None = None
         self._bus_problem = ""
@@ -127,7 +124,6 @@ class Listener:
     def _take(self, frames: list[Frame]) -> None:
         assert self._samples is not None
         self._picture.take(frames, self._clock_s())
-        self._recent.take(frames)
         self._samples.take(frames)
         self._newest_ns = next((frame.time_ns for frame in reversed(frames) if frame.can_id == SYNC), self._newest_ns)
         if self.history.generation != self._generation:
@@ -199,7 +195,7 @@ class Listener:
     def recent_frames(self) -> list[Frame]:
         """Frames of the last cycles."""
         with self.lock:
-            return self._recent.frames()
+            return self._picture.recent_frames()
 
     def state(self) -> dict[str, Any]:
         """The picture as it is now."""

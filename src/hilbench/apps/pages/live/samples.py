@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from hilbench.apps.library.live_run import LiveRun
-from hilbench.apps.monitor.condition import START_ALL
+from hilbench.apps.monitor.picture import START_ALL
 from hilbench.apps.pages.live.history import History
 from hilbench.apps.pages.live.machines.kinds import settled
 from hilbench.arrays import Array
