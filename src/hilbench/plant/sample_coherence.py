@@ -24,8 +24,11 @@ from hilbench.compiled import (
     record_type,
 )
 
-#: Largest difference of the rollers' travels at one instant, as a share of a cycle's travel.
+#: Largest difference of a travel from what it is to be, as a share of a cycle's travel.
 _ALIKE = 0.3
+#: The same of rollers that a web couples, for each cycle up to that: samples 1 ms apart differ by more in a cycle of
+#: 10 ms, which an emulated web would take for a third of its strain; over more cycles speeds may change.
+_COUPLED_ALIKE = 0.06
 #: Largest ratio of a cycle's travel to that of the previous one, either way: more is the travel of uncounted cycles,
 #: less that of a sample sent twice.
 _LONGER = 1.5
@@ -100,7 +103,7 @@ def coherent(state: Vector, positions: Vector, least_travel: float) -> bool:
         previous[k] = positions[k]
     c.since = 0.0
     if c.started != 0.0:
-        if longest - shortest > max(least_travel, _ALIKE * c.travel):
+        if longest - shortest > max(least_travel, min(_COUPLED_ALIKE * c.cycles, _ALIKE) * c.travel):
             c.unpaired += 1.0
             return False
         _learn_ratios(ratios, positions, last, least_travel)

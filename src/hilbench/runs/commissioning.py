@@ -2,12 +2,12 @@
 
 Nothing goes further than the config lets it: speeds up to those of its own steps (without any up to the usual line
 speed of the twin's `model_errors`), nothing beyond the warning levels of `safety: limits`, ramps with a share of the
-torque that the drives have. How far a kind of machine can go is its `Reach`.
+torque that the drives have.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,10 +17,9 @@ from hilbench.errors import UnusableInputError
 from hilbench.machine_kinds import machine_part
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig
-from hilbench.runs.scenario import read_scenario
+from hilbench.runs.reach import GENTLE, HOLD_S, OF_LIMIT, SLOW, STEEP, Reach, highest_of_steps
 from hilbench.runs.steps import ExperimentStep
-from hilbench.topology.quantities import LINE_SPEED, SPEED
-from hilbench.topology.web_line_quantities import tension_set_point
+from hilbench.topology.quantities import SPEED
 
 #: Longest process time of a commissioning, s.
 LONGEST_S: Final = 120.0
@@ -102,80 +101,3 @@ def reach_of_shaft(config: ExperimentConfig, place: Path) -> Reach:
     top_rad_s = min(highest_of_steps(config, SPEED) or _OF_A_SHAFT * limit_rad_s, OF_LIMIT * limit_rad_s)
     fastest_rad_s2 = per_item(model.drives.torque_limit_Nm, 1) / model.inertia_kg_m2
     return Reach(SPEED, "rad/s", top_rad_s, STEEP * fastest_rad_s2, GENTLE * fastest_rad_s2)
-
-
-#: Share of a warning level that is used: a drive overshoots the corner of a ramp by less than a tenth.
-OF_LIMIT: Final = 0.9
-#: Share of a drive's torque that the steep ramps take, and the gentle ones: the rest is for friction and pull of web.
-STEEP, GENTLE = 0.25, 0.1
-#: The slowest level of speed, as a share of the highest, and the time at a level, s.
-SLOW, HOLD_S = 0.15, 4.0
-
-
-@dataclass(frozen=True)
-class Reach:
-    """Range of the plan: highest speed and steepest ramps in the machine's unit of position per s and s²; of each
-    set-point other than the speed its path, the two values, and their unit."""
-
-    path: str
-    unit: str
-    top: float
-    steep: float
-    gentle: float
-    set_points: Sequence[tuple[str, float, float, str]] = ()
-
-
-def highest_of_steps(config: ExperimentConfig, path: str) -> float:
-    """The highest speed that the config's own steps and tables ask for; 0 where none does."""
-    moves = (each for step in config.steps for each in (step.ramp, step.set, step.step) if each is not None)
-    asked = [each.to for each in moves if each.path == path]
-    for table in (read_scenario(step.table.file) for step in config.steps if step.table is not None):
-        asked += [value for moved in (table.ramps, table.jumps) for _, value in moved.get(path, ())]
-    return max(map(abs, asked), default=0.0)
-
-
-#: The second tension over the first, and the least that distinguishes them.
-_SECOND, _LEAST_SECOND = 1.25, 1.1
-#: A turn of each roller at the slow level has to fit into its hold: below that speed nothing is known of a turn.
-_LEAST_TURNS: Final = 0.25
-
-
-def reach_of_line(config: ExperimentConfig, place: Path) -> Reach:
-    """Range of the commissioning of a line of driven rollers; see `commissioning_plan`."""
-    model = config.web_line
-    if model.stations is not None:
-        raise UnusableInputError(
-            place, "a line with 'stations', expected one of driven rollers alone: others can't be commissioned yet"
-        )
-    if model.web is None or model.drives is None:
-        raise UnusableInputError(place, "a machine without web or drives, expected a web line to commission")
-    limits = operator_ranges(config)
-    usual_m_s = highest_of_steps(config, LINE_SPEED) or config.twin.model_errors.at_speed_m_s
-    top_m_s = min(usual_m_s, OF_LIMIT * limits[LINE_SPEED][1])
-    for axis in range(1, model.axis_count + 1):
-        turn_m = 6.283 * model.radius_m(axis)
-        least_m_s = _LEAST_TURNS * turn_m / (SLOW * HOLD_S)
-        if top_m_s < least_m_s:
-            raise UnusableInputError(
-                place,
-                f"speeds up to {top_m_s:.2g} m/s by its steps and safety.limits.speed_m_s, expected {least_m_s:.2g} "
-                f"m/s or more, for turns of roller {axis}",
-            )
-    fastest_m_s2 = min(config.fastest_m_s2(axis) for axis in range(1, model.axis_count + 1))
-    set_points = [_set_points(config, span, limits, place) for span in config.tension_controls]
-    return Reach(LINE_SPEED, "m/s", top_m_s, STEEP * fastest_m_s2, GENTLE * fastest_m_s2, set_points)
-
-
-def _set_points(
-    config: ExperimentConfig, span: int, limits: dict[str, tuple[float, float]], place: Path
-) -> tuple[str, float, float, str]:
-    path = tension_set_point(config.shape.numbered(span))
-    first_N = config.tension_controls[span].set_point_N
-    second_N = round(min(_SECOND * first_N, OF_LIMIT * limits[path][1]), 3)
-    if second_N < _LEAST_SECOND * first_N:
-        raise UnusableInputError(
-            place,
-            f"safety.limits.tension_N lets {path} go from {first_N:g} to {second_N:g} N, expected a second tension of "
-            f"{_LEAST_SECOND * first_N:g} N or more",
-        )
-    return path, first_N, second_N, "N"

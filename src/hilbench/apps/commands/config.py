@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from hilbench.apps.commands.new_bench import SERVO_AXIS, WEB_LINE, NewBench, Place, Suggested
+from hilbench.apps.commands.new_bench import SERVO_AXIS, NewBench, Place, Suggested
+from hilbench.apps.commands.new_web_line import WEB_LINE
 from hilbench.errors import UnusableInputError
 from hilbench.files import write_whole
 from hilbench.plant.effect import MachineKind

@@ -22,6 +22,6 @@ WEB_LINE: Final = MachineDescription(
     prediction="hilbench.bench.prediction.web_line",
     diagnosis="hilbench.diagnosis.web_line_machine",
     live_diagnosis="hilbench.live.web_line:machine",
-    commissioning="hilbench.runs.commissioning:reach_of_line",
+    commissioning="hilbench.runs.web_line_reach:reach_of_line",
     fmu_export="hilbench.plant.fmu.export.of_kind:of_line",
 )
