@@ -54,12 +54,15 @@ def test_late_samples_are_counted_by_participant_and_told(tmp_path: Path) -> Non
     assert tension.max() < 90.0
 
 
-def test_a_load_model_without_positions_of_one_instant_ends_the_run_and_says_so(tmp_path: Path) -> None:
+def test_a_load_model_without_positions_of_one_instant_warns_and_then_ends_the_run(tmp_path: Path) -> None:
+    steps = [*STEPS[:1], {"hold": {"duration_s": 8.0}}]
     with late(1.0, AXIS2, from_cycle=500):
-        outcome = run(tmp_path)
+        outcome = run(tmp_path, steps=steps)
     assert outcome.exit_code == 3
+    assert any("load torques are held for 1.0 s" in warning.text for warning in outcome.result.warnings or [])
     (fault,) = outcome.result.faults
-    assert "the load model has held its torques for 1.0 s" in fault.text
+    assert fault.time_s == pytest.approx(6.0, abs=0.1)
+    assert "load model: load torques are held for 5.0 s" in fault.text
 
 
 def test_a_twin_that_is_a_cycle_late_is_counted_and_the_loop_stays_closed(tmp_path: Path) -> None:

@@ -57,8 +57,9 @@ from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 #: Age of the twin's data, in cycles, up to which a line without tension control rides it out.
 _TWIN_AGE = TensionControlConfig().twin_age_limit_cycles
-#: Longest time for which load torques are held, s: a span of web at walking speed passes through in it.
-_LONGEST_HOLD_S = 1.0
+#: Time for which load torques are held from which on the operator is warned, and from which on it is a fault, s: a span
+#: of web at walking speed passes through in the first, and the tension watch gives up after the second.
+_LONG_HOLD_S, _LONGEST_HOLD_S = 1.0, 5.0
 #: Cycles between two checks for an open tension loop.
 _LOOK_CYCLES = 50
 
@@ -405,6 +406,7 @@ class WebLoadTask(LoadTask):
 
     def __init__(self, config: BenchConfig, report: Callable[[str], None]) -> None:
         super().__init__(list(config.load_motors), web_load_model(config, report))
+        self._report, self._held_s = report, 0.0
         shape = config.shape
         axes = range(1, shape.axes + 1)
         positions, speeds = [f"x{k}_m" for k in axes], [f"v{k}_m_s" for k in axes]
@@ -447,12 +449,16 @@ class WebLoadTask(LoadTask):
             self.model.set_value(name, getattr(sample, signal))
 
     def _check_held(self, sample: CycleSample) -> None:
-        """Raise BenchFaultError where the load torques have been held for long: the emulated web no longer follows."""
-        if (held_s := self.model.held_s) >= _LONGEST_HOLD_S:
-            raise BenchFaultError(
-                f"t = {sample.t_s:.3f} s: the load model has held its torques for {held_s:.1f} s, as there were no "
-                "measured positions of all axes of one SYNC"
-            )
+        """Warn of load torques that are held for long: the emulated web no longer follows. Raises BenchFaultError."""
+        held_s, held_before_s = self.model.held_s, self._held_s
+        self._held_s = held_s
+        if held_s < _LONG_HOLD_S:
+            return
+        text = f"load torques are held for {held_s:.1f} s: there were no measured positions of all axes of one SYNC"
+        if held_before_s < _LONG_HOLD_S:
+            self._report(text)
+        if held_s >= _LONGEST_HOLD_S:
+            raise BenchFaultError(f"t = {sample.t_s:.3f} s: load model: {text}")
 
     def _show(self, sample: CycleSample) -> None:
         true = self.model.outputs()
