@@ -65,10 +65,10 @@ def test_a_film_whose_rollers_differ_is_followed_after_samples_that_were_sent_tw
     assert refused == 0
 
 
-def test_positions_of_which_one_is_a_millisecond_old_are_of_no_instant() -> None:
+def test_positions_of_which_one_is_a_third_of_a_cycle_old_are_of_no_instant() -> None:
     pairing, travel_m = SampleCoherence(2e-4), 0.02
     assert all(pairing.update(1.001 * travel_m * cycle, travel_m * cycle) for cycle in range(40))
-    assert not pairing.update(1.001 * travel_m * 41, travel_m * 40.9)
+    assert not pairing.update(1.001 * travel_m * 41, travel_m * 40.7)
     assert pairing.update(1.001 * travel_m * 42, travel_m * 42)
 
 

@@ -26,9 +26,9 @@ from hilbench.compiled import (
 
 #: Largest difference of a travel from what it is to be, as a share of a cycle's travel.
 _ALIKE = 0.3
-#: The same of rollers that a web couples, for each cycle up to that: samples 1 ms apart differ by more in a cycle of
-#: 10 ms, which an emulated web would take for a third of its strain; over more cycles speeds may change.
-_COUPLED_ALIKE = 0.06
+#: The same of rollers that a web couples, for each cycle up to that: those a third of a cycle apart, as a busy machine
+#: sends them, let an emulated web jump by 50 N; a drive at its torque limit may leave its web behind by nearly as much.
+_COUPLED_ALIKE = 0.15
 #: Largest ratio of a cycle's travel to that of the previous one, either way: more is the travel of uncounted cycles,
 #: less that of a sample sent twice.
 _LONGER = 1.5
