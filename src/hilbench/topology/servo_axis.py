@@ -11,11 +11,11 @@ from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, 
 from hilbench.topology.signal_kinds import (
     BUS_SIGNALS,
     TIME_SIGNALS,
-    TWIN_SIGNALS,
     Per,
     SignalKind,
     axes_signals,
     load_motor_signals,
+    twin_signals,
 )
 from hilbench.topology.signals import Shape
 
@@ -37,15 +37,7 @@ SIGNALS: Final = (
         "standard deviation of the viscous friction; 0 where it is the model's",
         "twin",
     ),
-    SignalKind("tau{axis}_sim_Nm", "N·m", "torque of axis {axis} simulated by the twin, motor side", "twin", Per.AXIS),
-    SignalKind(
-        "tau{axis}_residual_Nm",
-        "N·m",
-        "torque of axis {axis}, measured minus simulated, as the twin reports it",
-        "twin",
-        Per.AXIS,
-    ),
-    *TWIN_SIGNALS,
+    *twin_signals("{axis}", Per.AXIS),
     SignalKind("J_true_kg_m2", "kg·m²", "inertia of the emulated shaft", "truth"),
     SignalKind("coulomb_true_Nm", "N·m", "dry friction of the emulated shaft", "truth"),
     *BUS_SIGNALS,

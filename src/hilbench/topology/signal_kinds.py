@@ -116,10 +116,17 @@ def load_motor_signals(unit: str, what: str) -> tuple[SignalKind, ...]:
     )
 
 
-TWIN_SIGNALS: Final = (
-    SignalKind("twin_age_cycles", "", "cycles since the SYNC that the twin's data are of", "twin", integer=True),
-    SignalKind("twin_status", "", "status bits 2100h:3 of the twin", "twin", integer=True),
-)
+def twin_signals(axis: str, per: Per) -> tuple[SignalKind, ...]:
+    """Torques of the axes (a placeholder) that the twin shows, and its status."""
+    residual = f"torque of axis {axis}, measured minus simulated, as the twin reports it"
+    return (
+        SignalKind(f"tau{axis}_sim_Nm", "N·m", f"torque of axis {axis} simulated by the twin, motor side", "twin", per),
+        SignalKind(f"tau{axis}_residual_Nm", "N·m", residual, "twin", per),
+        SignalKind("twin_age_cycles", "", "cycles since the SYNC that the twin's data are of", "twin", integer=True),
+        SignalKind("twin_status", "", "status bits 2100h:3 of the twin", "twin", integer=True),
+    )
+
+
 BUS_SIGNALS: Final = (
     SignalKind("bus_bits", "bit", "bits on the bus in the cycle, stuff bits included", "bus", integer=True),
     SignalKind("statusword{axis}", "", "statusword 6041h of axis {axis}", "bus", Per.AXIS, integer=True),

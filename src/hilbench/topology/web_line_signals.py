@@ -7,11 +7,11 @@ from typing import Final
 from hilbench.topology.signal_kinds import (
     BUS_SIGNALS,
     TIME_SIGNALS,
-    TWIN_SIGNALS,
     Per,
     SignalKind,
     axes_signals,
     load_motor_signals,
+    twin_signals,
 )
 
 #: The speed of a line whose last axis is a reel: that of all others the last axis has.
@@ -69,21 +69,7 @@ WEB_LINE: Final = (
     SignalKind(
         "r_{reel}_sd_m", "m", "standard deviation of the radius of {reel}, as the twin states it", "twin", Per.REEL
     ),
-    SignalKind(
-        "tau{next}_sim_Nm",
-        "N·m",
-        "torque of axis {next} simulated by the twin, motor side",
-        "twin",
-        Per.ESTIMATED,
-    ),
-    SignalKind(
-        "tau{next}_residual_Nm",
-        "N·m",
-        "torque of axis {next}, measured minus simulated, as the twin reports it",
-        "twin",
-        Per.ESTIMATED,
-    ),
-    *TWIN_SIGNALS,
+    *twin_signals("{next}", Per.ESTIMATED),
     SignalKind(
         "loop{span}_closed",
         "",

@@ -440,7 +440,6 @@ class WebLoadTask(LoadTask):
             self.follow(sample, self._positions(sample), self._speeds(sample), late=late)
         if followed is not HasFollowed.ALL:
             self._show(sample)
-            self._check_held(sample)
         self._push(sample)
 
     def _push(self, sample: CycleSample) -> None:
@@ -464,13 +463,13 @@ class WebLoadTask(LoadTask):
         true = self.model.outputs()
         for signal, place in self._places:
             setattr(sample, signal, true[place])
+        self._check_held(sample)
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
         """Compiled stage that follows the measured motion, and Python's that sets forces on carriages."""
 
         def fallback(_: HasFollowed) -> bool:
             self._show(sample)
-            self._check_held(sample)
             return True
 
         piece = self.model.piece(sample.reals, self._at, fallback)

@@ -11,7 +11,8 @@ leaving web were like the rest. Apparent compliance, relative to the old one:
 to the first order in the change, and within 0.2 % of the compliance for one by 20 %. Block means are compared with
 these three by their likelihood ratio, for every joint position that the last blocks can resolve. Where the speed has
 changed, friction and inertia errors of the model show as a compliance that goes with speed or acceleration: these
-regressors are included as no joint.
+regressors are included as no joint. The acceleration is held while it differs by noise alone: in a ramp that noise is
+in the compliance, too, and would show an inertia error of some 50 %, whose end is other web.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ _CHANGED, _BETTER, _SUSPECTED = 45.0, 16.0, 25.0
 #: Travel of a joint through the span, in lengths, from which on it is separable from a step, and up to which its
 #: estimate improves.
 _LEAST_TRAVEL, _THROUGH = 0.12, 1.0
+#: Change of the acceleration that is no noise, in its standard deviations: once in 16,000 blocks otherwise.
+_SAME_NOISES = 4.0
 #: Assumed length of a short piece, m, and the largest share of the span's compliance change it may have.
 _SHORT_M, _LEAST_SHARE = 0.3, 0.5
 
@@ -197,7 +200,7 @@ class SpliceFinder:
         blocks = np.array(self._blocks)
         self._choose_since(blocks)
         travels_m, compliances, speeds_m_s, accelerating = blocks[blocks[:, 0] > self._since_m].T
-        noise = 1.4826 * float(np.median(np.abs(np.diff(compliances)))) / 2.0**0.5
+        noise = _noise(compliances)
         if not noise > 0.0:
             return None
         fronts_m = _fronts_m(travels_m)
@@ -299,8 +302,22 @@ def _known_regressors(speeds_m_s: Array, accelerating: Array) -> Array:
     """Orthonormal columns (n, 1 to 3) of compliance changes without a joint: constant, speed, acceleration."""
     regressors = [np.ones(len(speeds_m_s))]
     if np.ptp(speeds_m_s) > SAME_SPEED * np.max(np.abs(speeds_m_s)):
-        regressors += [speeds_m_s, accelerating]
+        regressors += [speeds_m_s, _held(accelerating, _SAME_NOISES * _noise(accelerating))]
     return np.linalg.qr(np.stack(regressors, axis=1))[0]
+
+
+def _held(values: Array, change: float) -> Array:
+    """Values (n,), each like the one before it unless it differs from that by more than this."""
+    held, last = np.empty_like(values), inf
+    for i, value in enumerate(values.tolist()):
+        last = value if abs(value - last) > change else last
+        held[i] = last
+    return held
+
+
+def _noise(values: Array) -> float:
+    """Standard deviation of white noise of values (n,), by their successive differences."""
+    return float(1.4826 * np.median(np.abs(np.diff(values))) / 2.0**0.5)
 
 
 def _without(values: Array, regressors: Array) -> Array:

@@ -19,6 +19,22 @@ def axes_before_spans(model: ModelParameters) -> tuple[int, ...]:
     return tuple(found)
 
 
+def section_spans(model: ModelParameters, axis: int) -> list[int]:
+    """Indices, from 0, of the spans of the section after a driven axis."""
+    return [k for k, of in enumerate(axes_before_spans(model)) if of == axis]
+
+
+def section_length_m(model: ModelParameters, axis: int) -> float:
+    """Length of the section after a driven axis, carriages at their positions of the model."""
+    return sum(model.span_length_m(k + 1) for k in section_spans(model, axis))
+
+
+def axes_before_carriages(model: ModelParameters) -> list[int]:
+    """Number of the driven axis before the section of each carriage, from 1."""
+    before = axes_before_spans(model)
+    return [before[carriage.first_span - 1] for carriage in model.carriages]
+
+
 def first_spans(model: ModelParameters) -> tuple[int, ...]:
     """First span of each section, right after a driven roller."""
     rollers = model.line_rollers
@@ -35,11 +51,9 @@ def section_model(model: ModelParameters) -> ModelParameters:
     rollers, web = model.line_rollers, model.required_web
     if rollers[0].axis is None or rollers[-1].axis is None:
         raise ValueError("a line that does not begin and end with a driven roller")
-    before = axes_before_spans(model)
     lengths_m, moduli_Pa, sections_m2 = [], [], []
     for axis in range(1, model.axis_count):
-        spans = [span for span, of in enumerate(before, 1) if of == axis]
-        length_m = sum(model.span_length_m(span) for span in spans)
+        spans, length_m = [k + 1 for k in section_spans(model, axis)], section_length_m(model, axis)
         yields_per_N = sum(model.span_length_m(span) / model.stiffness_N(span) for span in spans)
         section_m2 = model.section_m2(spans[0])
         lengths_m.append(length_m)

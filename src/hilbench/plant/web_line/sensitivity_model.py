@@ -18,7 +18,7 @@ from hilbench.compiled import COUNT, TABLE, Reals, Reals2, Vector, Wholes2, arra
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.line_follower import LineFollower, PerturbedCopies
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.sections import axes_before_spans
+from hilbench.plant.web_line.sections import axes_before_carriages, axes_before_spans, section_spans
 from hilbench.plant.web_line.stations import Reel, reel_name
 
 #: Least remaining share of a carriage's perturbation; less is not rescaled.
@@ -93,8 +93,7 @@ def estimated_parameters_of(model: ModelParameters, measured: Collection[str] = 
     """Unknowns of a line: its carriages and reels; the strain of the sections without a carriage, which would set its
     own tension at once; E of each section where every reel is `measured` (stations by name): next to an unknown radius
     the tension identifies that, and not E."""
-    before = axes_before_spans(model)
-    held = {before[carriage.first_span - 1] for carriage in model.carriages}
+    held = axes_before_carriages(model)
     sections = range(1, model.axis_count)
     reels = [roller for roller in model.line_rollers if isinstance(roller.station, Reel)]
     known = all(reel_name(reel.station) in measured for reel in reels if isinstance(reel.station, Reel))
@@ -127,7 +126,7 @@ class SensitivityModel:
         self._idlers = [roller.name for roller in model.line_rollers if roller.axis is None]
         self._rollers, carriages = len(model.line_rollers), model.carriages
         self._before, self._span_count = axes_before_spans(model), model.span_count
-        self._held = [self._before[each.first_span - 1] for each in carriages]  # axis before the section of a carriage
+        self._held = axes_before_carriages(model)
         #: Offsets of material lengths and span lengths in the integrated quantities.
         self._material = 4 * (self._rollers + len(carriages))
         self._lengths = self._material + self._span_count
@@ -143,9 +142,7 @@ class SensitivityModel:
             (self._rollers + at, each.station.name, each.station.lower_stop_m, each.station.upper_stop_m)
             for at, each in enumerate(carriages)
         ]
-        self._spans = {
-            axis: [k for k, of in enumerate(self._before) if of == axis] for axis in range(model.axis_count + 1)
-        }
+        self._spans = {axis: section_spans(model, axis) for axis in range(model.axis_count + 1)}
         #: Change of each reel's radius over that at the start, per m of its motion, by its axis.
         self.slopes_per_m = {each.number: _slope_per_m(model, each.number) for each in self._of(Kind.RADIUS)}
         self._moduli = np.array([model.youngs_modulus_Pa(span) for span in range(1, model.span_count + 1)])

@@ -26,7 +26,7 @@ from hilbench.estimation.web_line.carriage_slip import CarriageSlip
 from hilbench.estimation.web_line.section_anomalies import SectionDetector
 from hilbench.plant.web_line.line_cycle import LOAD
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.sections import axes_before_spans
+from hilbench.plant.web_line.sections import axes_before_carriages, section_length_m, section_spans
 from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
 from hilbench.plant.web_line.stations import Reel, reel_name
 from hilbench.twin.machines.web_line_stations_cycle import WATCH, WatchArrays
@@ -53,8 +53,7 @@ class _Section:
         self, model: ModelParameters, axis: int, followed: SensitivityModel, measured: Sequence[str], block: WatchArrays
     ) -> None:
         self.axis, self._followed, self._block = axis, followed, block
-        self._spans = [k for k, of in enumerate(axes_before_spans(model)) if of == axis]
-        self.length_m = sum(model.span_length_m(k + 1) for k in self._spans)
+        self._spans, self.length_m = section_spans(model, axis), section_length_m(model, axis)
         self.usual_N = model.upstream_strain * model.stiffness_N(self._spans[-1] + 1)
         #: Every roller after it is loaded: the tension of others is not observable by torques.
         self.seen = all(model.carries_web_load(later) for later in range(axis + 1, model.axis_count + 1))
@@ -285,8 +284,7 @@ def _middle(values: Vector) -> Vector:
 def _carriage_slip(model: ModelParameters, measured: Sequence[str], axis: int, length_m: float) -> CarriageSlip | None:
     """Slip detector of the section after an axis, of this length, if it has one carriage that has a sensor, and is not
     next to a reel without radius sensor."""
-    before = axes_before_spans(model)
-    held = [carriage for carriage in model.carriages if before[carriage.first_span - 1] == axis]
+    held = [each for each, of in zip(model.carriages, axes_before_carriages(model), strict=True) if of == axis]
     reels = {each.axis: reel_name(each.station) for each in model.line_rollers if isinstance(each.station, Reel)}
     beside = [reels[of] for of in (axis, axis + 1) if of in reels]
     if len(held) != 1 or not {held[0].station.name, *beside} <= set(measured):

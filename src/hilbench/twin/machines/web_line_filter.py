@@ -23,7 +23,7 @@ from hilbench.estimation.web_line.transients import Transient
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.drive_response import DriveResponse
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.sections import axes_before_spans
+from hilbench.plant.web_line.sections import axes_before_carriages, section_length_m, section_spans
 from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
 from hilbench.twin.machines.web_line_sensors import StationSensors
 from hilbench.twin.machines.web_line_stations_cycle import FILTER, FilterArrays
@@ -164,10 +164,10 @@ class LineFilter:
         #: The same for a web at rest with unknown strain, as one measurement can't separate E and strain, and where a
         #: reel has a wrong flywheel while accelerating: an error that is no noise.
         self._learns_no_modulus = np.repeat(~self._is_modulus[:, None], len(self._offsets), axis=1)
-        lengths_m = [sum(model.span_length_m(k + 1) for k in spans) for spans in _sections(model)]
+        lengths_m = [section_length_m(model, axis) for axis in range(1, model.axis_count)]
         self._keep_every_m, self._keep_m = _KEPT_EVERY * min(lengths_m), _KEPT_LENGTHS * max(lengths_m)
         self._web_m = sum(lengths_m)
-        held = {axes_before_spans(model)[carriage.first_span - 1] for carriage in model.carriages}
+        held = axes_before_carriages(model)
         self._beside_carriages = np.array([axis in held or axis - 1 in held for axis in self._axes], bool)
         self.begin([0.0] * model.axis_count, 0.0)
         self._set_transients()
@@ -179,9 +179,7 @@ class LineFilter:
     def _set_transients(self) -> None:
         """Create the transient detectors for this cycle time."""
         model = self._model
-        held = {
-            Unknown(Kind.MODULUS, axes_before_spans(model)[carriage.first_span - 1]) for carriage in model.carriages
-        }
+        held = {Unknown(Kind.MODULUS, axis) for axis in axes_before_carriages(model)}
         answer = DriveResponse(self._gains, self._rates, 1, self._cycle_s)
         answer.set_inertia(self.inertia_kg_m2)
         #: Of each section with a carriage: index of its E, and its transient detector.
@@ -491,10 +489,10 @@ class LineFilter:
         simulated line's."""
         behind = Unknown(Kind.STRAIN, axis + 1)
         if behind in self.sensitivities.places:
-            line, spans = self.sensitivities.line, _sections(self._model)
+            line, span = self.sensitivities.line, section_spans(self._model, axis)[-1]
             travel_m = abs(line.v_m_s.item(axis)) * since_s
-            gone = 1.0 - exp(-travel_m / sum(self._model.span_length_m(k + 1) for k in spans[axis]))
-            more = -transient.share / (1.0 + transient.share) * line.strain.item(spans[axis - 1][-1])
+            gone = 1.0 - exp(-travel_m / section_length_m(self._model, axis + 1))
+            more = -transient.share / (1.0 + transient.share) * line.strain.item(span)
             changes[self.sensitivities.places[behind]] = self.sensitivities.modulus_factor(axis + 1) * more * gone
 
     def _forget_transients(self) -> None:
@@ -522,7 +520,7 @@ class LineFilter:
         for axis, tension_N in tensions_N.items():
             strain = Unknown(Kind.STRAIN, axis)
             if strain in self.sensitivities.places:
-                stiffness_N = self._model.stiffness_N(_sections(self._model)[axis - 1][0] + 1)
+                stiffness_N = self._model.stiffness_N(section_spans(self._model, axis)[0] + 1)
                 changes[self.sensitivities.places[strain]] = tension_N / stiffness_N - self.sensitivities.strain(axis)
         self._apply(changes)
 
@@ -634,9 +632,3 @@ class LineFilter:
 
     def _deviation(self, unknown: Unknown) -> float:
         return self._filter.deviation(self.sensitivities.places[unknown])
-
-
-def _sections(model: ModelParameters) -> list[list[int]]:
-    """Numbers of the spans of each section, from 0."""
-    before = axes_before_spans(model)
-    return [[k for k, of in enumerate(before) if of == axis] for axis in range(1, model.axis_count)]

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.sections import axes_before_spans
+from hilbench.plant.web_line.sections import axes_before_carriages, section_length_m
 from hilbench.plant.web_line.sensitivity_model import Kind, SensitivityModel, Unknown
 from hilbench.plant.web_line.stations import Idler, Reel, reel_name
 from hilbench.twin.machines.web_line_stations_cycle import SENSOR
@@ -51,12 +51,7 @@ class StationSensors:
         #: Whether it is of a carriage's position (s,), and most by which one oscillates when E changes: the web of its
         #: section is stretched by no more.
         self.of_carriages = self.rows["carriage"] >= 0.0
-        before = axes_before_spans(model)
-        held = [before[carriage.first_span - 1] for carriage in model.carriages]
-        stretched_m = [
-            model.upstream_strain * sum(model.span_length_m(k) for k, of in enumerate(before, 1) if of == axis)
-            for axis in held
-        ]
+        stretched_m = [model.upstream_strain * section_length_m(model, axis) for axis in axes_before_carriages(model)]
         self.most_oscillation = np.full(len(rows), inf)
         self.most_oscillation[self.of_carriages] = [
             stretched_m[unknown.number - 1] for unknown in self.sensed if unknown.kind is Kind.CARRIAGE

@@ -14,7 +14,7 @@ from hilbench.plant.web_line.drive_response import DriveResponse
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.line_follower import LineFollower, StateTransfer
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.sections import axes_before_spans
+from hilbench.plant.web_line.sections import section_spans
 from hilbench.plant.web_line.sensitivity_model import damped_follower
 
 #: Steps of E as shares: a stiffer web oscillates faster.
@@ -45,9 +45,8 @@ def _transient(model: ModelParameters, axis: int, share: float, cycle_s: float) 
     for _ in range(round(_SETTLE_S / cycle_s)):
         pair.step()
     before = pair.torques_Nm
-    for span, of in enumerate(axes_before_spans(model), 1):
-        if of == axis:
-            pair.line.set_parameter(f"span{span}.youngs_modulus_Pa", (1.0 + share) * model.youngs_modulus_Pa(span))
+    for k in section_spans(model, axis):
+        pair.line.set_parameter(f"span{k + 1}.youngs_modulus_Pa", (1.0 + share) * model.youngs_modulus_Pa(k + 1))
     found = []
     for _ in range(round(_TRANSIENT_S / cycle_s)):
         found.append(pair.torques_Nm - before)
