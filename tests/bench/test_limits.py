@@ -73,6 +73,15 @@ def test_what_the_set_points_add_up_to_is_no_position_difference():
         limits.update(sample_of_two_axes(v1_cmd_m_s=1.0, x1_m=0.0))
 
 
+def test_cycles_that_the_bench_has_missed_are_no_position_difference():
+    limits, cycle = watch(position_difference_m=Limit(warning=0.05, trip=0.2)), 0
+    for k in range(3000):  # of a film that is drawn by 1 % at 3 m/s; one cycle in ten takes as long as six
+        cycle += 6 if k % 10 == 0 else 1
+        speeds = {"v1_cmd_m_s": 2.97, "v2_cmd_m_s": 3.0}
+        positions = {f"x{axis}_m": cycle * CYCLE_S * speeds[f"v{axis}_cmd_m_s"] for axis in (1, 2)}
+        assert not limits.update(sample_of_two_axes(**speeds, **positions))
+
+
 def test_a_warning_above_the_trip_is_refused():
     with pytest.raises(ValueError, match="not above the trip level 4"):
         Limit(warning=5.0, trip=4.0)

@@ -135,8 +135,13 @@ class OnTheBus:
 
     @property
     def is_said_to_be_synchronized(self) -> bool:
-        """By the status that it sends (2100h:3)."""
-        return bool(int(self.device.cell(0x2100, 3).value) & TwinStatus.SYNCHRONIZED)
+        """By the status that it sends."""
+        return bool(self.status & TwinStatus.SYNCHRONIZED)
+
+    @property
+    def status(self) -> int:
+        """Status that it sends (2100h:3)."""
+        return int(self.device.cell(0x2100, 3).value)
 
     @property
     def shown(self) -> tuple[float, float]:
@@ -299,6 +304,20 @@ def test_a_twin_does_not_join_by_positions_of_two_instants(late_at: int, monkeyp
         off_N.append(abs(bus.shown[1] - TENSION_N) if bus.machine.in_use.synchronized else 0.0)
     assert bus.machine.in_use.synchronized
     assert max(off_N) < 1.0
+
+
+@pytest.mark.parametrize("lost", [{"answers": 1}, {"late_s": CYCLE_S}], ids=["no answer", "of another instant"])
+def test_a_twin_that_follows_no_measurement_for_a_quarter_second_says_so(
+    lost: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bus, told = OnTheBus(monkeypatch), list[tuple[bool, bool]]()
+    for k in range(500, 1700):
+        noise_N = 0.1 if k % 2 else -0.1
+        bus.sync(k * CYCLE_S, k * CYCLE_S, TENSION_N + noise_N, **(lost if 1000 <= k < 1400 else {}))
+        told.append((bus.is_said_to_be_synchronized, bool(bus.status & TwinStatus.TRANSFER_REFUSED)))
+    assert set(told[300:620]) == {(True, False)}
+    assert set(told[630:900]) == {(False, True)}
+    assert told[-1] == (True, False)
 
 
 @pytest.mark.slow

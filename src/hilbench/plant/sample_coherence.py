@@ -7,7 +7,7 @@ by a cycle's travel, which is many times the web's elongation: 6 mm against 0.3 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from hilbench.compiled import (
     Vector,
     compiled,
     entry_point,
-    interpreted,
     record_at,
     record_in,
     record_type,
@@ -37,6 +36,8 @@ _LONGER = 1.5
 _NEW_RATIO, _SHOWS_RATIO = 0.05, 30.0
 #: Largest difference of such a ratio from 1: no web bears a draw so large.
 _LARGEST_DRAW = 0.1
+#: Shares of a new and of the old speed of an axis relative to the others; noise of a travel, as a share of a usual one.
+_NEW_SPEED, _LOST_SPEED, _NOISE = 0.5, 0.25, 0.25
 #: Beyond any acceleration of a line.
 _FASTEST_M_S2 = 100.0
 #: Further divergence of the axes of one machine allowed per cycle, in those plays.
@@ -45,89 +46,120 @@ _APART = 0.5
 _RUNNING_PER_S2 = {"m": 20.0, "rad": 2e3}
 
 
-#: Most successive cycles refused because the axes' travels give different numbers of cycles.
+#: Most successive cycles refused because the axes' travels give different numbers of cycles, or change alike.
 _MOST_REFUSED = 5
+#: Largest change of a travel by a late sample, in travels of a cycle: what is more, as at standstill, is motion.
+_MOST_LATE = 20.0
 
-#: State of `coherent`, before the positions (N,) that were last coherent, the last ones, and the ratio of each axis's
-#: travel to that of all: cycles since the first, and since the second; the travel of a cycle (below 0: unknown);
-#: incoherent cycles; whether there are positions.
-COHERENCE: Final = record_type("cycles", "since", "travel", "unpaired", "started")
-_LAST: Final = COHERENCE.itemsize // 8
+#: State of `coherent`: largest acceleration, in travels of a cycle; cycles since positions were coherent, and since the
+#: last ones; the travel of a cycle (below 0: unknown); whether there are positions; cycles in a row with one change of
+#: a travel. Mean travel since positions were coherent, and of a cycle before; whether that is known (below 0: nor by
+#: the next ones), and whether it may have become this one's. Then `_Travels`.
+COHERENCE: Final = record_type(
+    *("fastest", "cycles", "since", "travel", "started", "lasting", "gone", "mean", "has_mean", "is_steady")
+)
+_ROLLERS: Final = COHERENCE.itemsize // 8
 
 
-def coherence_state(rollers: int) -> Vector:
+class _Travels(NamedTuple):
+    """Of each axis (N,): last position; travel of a cycle beyond the mean, and the last change of that; sum of the
+    changes since positions were coherent; ratio of its travel to that of all."""
+
+    last: Vector
+    beyond: Vector
+    changes: Vector
+    offsets: Vector
+    ratios: Vector
+
+
+def coherence_state(rollers: int, fastest: float = np.inf) -> Vector:
     """Initial state of `coherent` for so many rollers."""
-    state: Vector = np.zeros(_LAST + 3 * rollers)
-    state[_LAST + 2 * rollers :] = 1.0
-    record_at(state, COHERENCE).travel = -1.0
+    state: Vector = np.zeros(_ROLLERS + 5 * rollers)
+    state[_ROLLERS + 4 * rollers :] = 1.0
+    c = record_at(state, COHERENCE)
+    c.fastest, c.travel = fastest, -1.0
     return state
 
 
 @compiled
-def _learn_ratios(ratios: Vector, positions: Vector, last: Vector, least_travel: float) -> None:
-    """Learn the ratio of each axis's travel to that of all from coherent positions: rollers differ by the draw."""
-    total = 0.0
+def _learn(axes: _Travels, positions: Vector, usual: float, least_travel: float) -> None:
+    """Learn the speeds of the axes relative to each other, beyond noise, and the ratio of each axis's travel to that of
+    all: rollers differ by the draw."""
+    mean, noise = 0.0, _NOISE * usual
     for k in range(len(positions)):
-        total += abs(positions[k] - last[k])
-    mean = total / len(positions)
-    if mean == 0.0:
-        return
+        mean += abs(positions[k] - axes.last[k]) / len(positions)
     share = _NEW_RATIO * min(mean / (_SHOWS_RATIO * least_travel), 1.0)
     for k in range(len(positions)):
-        ratio = ratios[k] + share * (abs(positions[k] - last[k]) / mean - ratios[k])
-        ratios[k] = min(max(ratio, 1.0 - _LARGEST_DRAW), 1.0 + _LARGEST_DRAW)
+        more = axes.changes[k] - min(max(axes.changes[k], -noise), noise)
+        lost = min(max(_LOST_SPEED * axes.beyond[k], -_LOST_SPEED * noise), _LOST_SPEED * noise)
+        axes.beyond[k] += _NEW_SPEED * more - lost
+        ratio = abs(positions[k] - axes.last[k]) / max(mean, 1e-12)
+        ratio = axes.ratios[k] + share * (ratio - axes.ratios[k])
+        axes.ratios[k] = min(max(ratio, 1.0 - _LARGEST_DRAW), 1.0 + _LARGEST_DRAW)
+
+
+@compiled
+def _judge(c: Record, axes: _Travels, positions: Vector, travel: float, least_travel: float) -> bool:
+    """True if positions are of the instant that the ones before let expect; `travel`: largest of an axis in a cycle."""
+    before, mean, same, count = c.travel, 0.0, True, len(positions)
+    if before >= 0.0:
+        travel = min(max(travel, before / _LONGER), max(_LONGER * before, least_travel))
+    c.travel, usual = travel, max(least_travel, _COUPLED_ALIKE * travel)
+    for k in range(count):
+        mean += (positions[k] - axes.last[k]) / axes.ratios[k] / count
+        same = same and (positions[k] != axes.last[k] or abs(c.mean + axes.beyond[k]) <= least_travel)
+    c.gone += mean
+    low, high, lower, higher = np.inf, -np.inf, np.inf, -np.inf
+    for k in range(count):
+        change = (positions[k] - axes.last[k]) / axes.ratios[k] - mean - c.since * axes.beyond[k]
+        low, high = min(low, change), max(high, change)
+        lower, higher = min(lower, change - axes.changes[k]), max(higher, change - axes.changes[k])
+        axes.changes[k] = change
+    same = same and higher - lower <= usual
+    is_motion = before >= 0.0 and high - low > max(usual, _MOST_LATE * before)
+    counts = not is_motion and (high - low > usual or c.cycles == 1.0)
+    low, high = np.inf, -np.inf
+    for k in range(count):
+        axes.offsets[k] += axes.changes[k] if counts else 0.0
+        low, high = min(low, axes.offsets[k]), max(high, axes.offsets[k])
+    alike = high - low <= max(least_travel, min(_COUPLED_ALIKE * c.cycles, _ALIKE) * travel)
+    c.lasting = 0.0 if alike else c.lasting + 1.0 if same else 1.0
+    if is_motion or c.lasting >= _MOST_REFUSED:  # no late sample makes these changes, but another speed of an axis
+        for k in range(count):
+            axes.beyond[k] += axes.changes[k] / c.since
+            axes.offsets[k] -= 0.0 if is_motion else c.lasting * axes.changes[k]
+            axes.changes[k] = 0.0
+        c.lasting = 0.0
+    if alike and c.cycles == 1.0:  # others may have made up for a late one
+        _learn(axes, positions, usual, least_travel)
+    return bool(alike)
 
 
 @entry_point(VECTOR, VECTOR, REAL, allocates=False)
 def coherent(state: Vector, positions: Vector, least_travel: float) -> bool:
     """True if positions (N,) are of one instant; see `SampleCoherence`."""
-    c, n = record_in(state, 0, COHERENCE), len(positions)
-    last, previous, ratios = state[_LAST : _LAST + n], state[_LAST + n : _LAST + 2 * n], state[_LAST + 2 * n :]
+    c, n, alike, travel, total = record_in(state, 0, COHERENCE), len(positions), True, 0.0, 0.0
+    of = state[_ROLLERS:]
+    axes = _Travels(of[:n], of[n : 2 * n], of[2 * n : 3 * n], of[3 * n : 4 * n], of[4 * n :])
     c.cycles += 1.0
     c.since += 1.0
-    longest, shortest, step, total = -np.inf, np.inf, 0.0, 0.0
     for k in range(n):
-        travel = (positions[k] - last[k]) / ratios[k]
         total += positions[k]
-        longest, shortest = max(longest, travel), min(shortest, travel)
-        step = max(step, abs(positions[k] - previous[k]))
+        travel = max(travel, abs(positions[k] - axes.last[k]) / c.since)
     if not np.isfinite(total):
-        c.unpaired += 1.0
         return False
     if c.started != 0.0:
-        travel = step / c.since
-        if c.travel >= 0.0:
-            travel = min(max(travel, c.travel / _LONGER), max(_LONGER * c.travel, least_travel))
-        c.travel = travel
+        alike = _judge(c, axes, positions, travel if travel > 0.0 else max(c.travel, 0.0), least_travel)
     for k in range(n):
-        previous[k] = positions[k]
+        axes.last[k] = positions[k]
     c.since = 0.0
-    if c.started != 0.0:
-        if longest - shortest > max(least_travel, min(_COUPLED_ALIKE * c.cycles, _ALIKE) * c.travel):
-            c.unpaired += 1.0
-            return False
-        _learn_ratios(ratios, positions, last, least_travel)
-    for k in range(n):
-        last[k] = positions[k]
-    c.started, c.cycles = 1.0, 0.0
+    if not alike:
+        return False
+    mean, room = c.gone / c.cycles, c.fastest * c.cycles + _ALIKE * abs(c.mean)
+    c.is_steady = 1.0 if c.has_mean <= 0.0 or abs(mean - c.mean) <= room else 0.0
+    c.mean, c.has_mean, c.started, c.gone, c.cycles = mean, min(c.has_mean + c.started, 1.0), 1.0, 0.0, 0.0
+    axes.offsets[:] = 0.0
     return True
-
-
-#: State of `increments_steadily`: allowed change of a cycle's travel, m; the last position and whether there is one;
-#: the travel of a cycle and whether it is known; cycles since without a position.
-STEADY: Final = record_type("most_m", "last_m", "has_last", "travel_m", "has_travel", "missed")
-
-
-@compiled
-def increments_steadily(state: Record, x_m: float) -> bool:
-    """True if Δx fits (1 + missed) cycles at the last speed within the largest acceleration; see `IncrementCheck`."""
-    cycles, last_m, before_m = state.missed + 1.0, state.last_m, state.travel_m
-    had_last, had_travel = state.has_last != 0.0, state.has_travel != 0.0
-    state.last_m, state.has_last, state.missed = x_m, 1.0, 0.0
-    if not had_last:
-        return True
-    state.travel_m, state.has_travel = (x_m - last_m) / cycles, 1.0
-    return bool(not had_travel or abs(state.travel_m - before_m) <= state.most_m * cycles + _ALIKE * abs(before_m))
 
 
 @compiled
@@ -213,30 +245,25 @@ def forget_own_travels(state: Vector) -> None:
     state[:_OF_AXES] = 0.0
 
 
-_increments_steadily = interpreted(increments_steadily)
-
-
 class SampleCoherence:
-    """Coherence check: compares the travels of all axes since their positions were last of one instant.
+    """Coherence check: compares the travels of all axes from cycle to cycle (of `cycle_s`, for `is_steady` alone).
 
-    Travels that differ by no more than `least_travel` (m, or rad of a rotary machine) are alike, beside the draw of the
-    web, which is learned. Accepted positions are the reference of all later ones: if they were not coherent, none will
-    ever be. So after a pause, in which travels grow long, they may differ by no more than before it.
+    Travels may differ by as much as before and `least_travel` (m, or rad of a rotary machine), beside the draw of the
+    web, which is learned. What differs more is of another instant, and positions are coherent again when later samples
+    have made up for it. Axes may move relative to each other: at the start of a soft web, or when one is at its limit.
     """
 
-    def __init__(self, least_travel: float) -> None:
-        self._least_travel = least_travel
+    def __init__(self, least_travel: float, cycle_s: float = np.inf) -> None:
+        self._least_travel, self._fastest = least_travel, _FASTEST_M_S2 * cycle_s**2
         self._state, self._positions = coherence_state(0), np.zeros(0)
-
-    @property
-    def unpaired(self) -> int:
-        """Number of incoherent cycles."""
-        return int(record_at(self._state, COHERENCE).unpaired)
 
     def reset(self) -> None:
         """Accept the next positions unchecked."""
-        state = record_at(self._state, COHERENCE)
-        state.cycles, state.since, state.travel, state.started = 0.0, 0.0, -1.0, 0.0
+        self._state[:] = coherence_state(len(self._positions), self._fastest)
+
+    def forget_speed(self) -> None:
+        """Let the next travel be any: that of the positions after the next ones."""
+        record_at(self._state, COHERENCE).has_mean = -1.0
 
     def miss(self) -> None:
         """Count a cycle without positions of its own."""
@@ -246,7 +273,7 @@ class SampleCoherence:
     def vectors(self, rollers: int) -> tuple[Vector, Vector]:
         """State of `coherent` for so many rollers, and their positions (N,): for compiled callers."""
         if rollers != len(self._positions):
-            self._state, self._positions = coherence_state(rollers), np.zeros(rollers)
+            self._state, self._positions = coherence_state(rollers, self._fastest), np.zeros(rollers)
         return self._state, self._positions
 
     def update(self, *positions_m: float) -> bool:
@@ -254,31 +281,6 @@ class SampleCoherence:
         self.vectors(len(positions_m))
         self._positions[:] = positions_m
         return coherent(self._state, self._positions, self._least_travel)
-
-
-class IncrementCheck:
-    """Check of a roller's travel against that of the previous cycle and possible acceleration.
-
-    On a bus that is late a position may be that of the previous cycle, or two cycles on: as a speed that would be an
-    acceleration impossible for any drive, and a force that no web bears.
-    """
-
-    def __init__(self, cycle_s: float) -> None:
-        self.vector: Vector = np.zeros(STEADY.itemsize // 8)
-        self.state = record_at(self.vector, STEADY)  #: of `increments_steadily`
-        self.state.most_m = _FASTEST_M_S2 * cycle_s**2
-
-    def reset(self) -> None:
-        """Accept the next position unchecked."""
-        self.state.has_last = self.state.has_travel = self.state.missed = 0.0
-
-    def miss(self) -> None:
-        """Count a cycle without a position of its own."""
-        self.state.missed += 1.0
-
-    def update(self, x_m: float) -> bool:
-        """True if this cycle's position, in m at the web, is one cycle after the last, and after those missed since."""
-        return _increments_steadily(self.state, x_m)
 
 
 class OwnIncrements:

@@ -24,13 +24,7 @@ from hilbench.runs.events import Event, find_events, of_open_loop
 from hilbench.runs.figures import finite_or_none, working_window
 from hilbench.runs.machines import web_line
 from hilbench.runs.machines.machine import MachineMetrics
-from hilbench.runs.segment import (
-    Channels,
-    Figure,
-    Metric,
-    Segment,
-    UnknownFigureError,
-)
+from hilbench.runs.segment import Channels, Figure, Metric, Segment, UnknownFigureError
 from hilbench.topology.signals import Shape, kind_of, shape_of, smallest_shapes
 
 _NUMBERED: Final = re.compile(r"[A-Za-z]+([1-9]\d{0,2})_\w+")

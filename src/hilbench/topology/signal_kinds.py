@@ -116,6 +116,15 @@ def load_motor_signals(unit: str, what: str) -> tuple[SignalKind, ...]:
     )
 
 
+def estimate_signals(name: str, unit: str, what: str, of: str, per: Per) -> tuple[SignalKind, ...]:
+    """An estimate of the twin, `name` with "sim" for its place, and its standard deviation."""
+    deviation = f"standard deviation of {of}, as the twin states it"
+    return (
+        SignalKind(name, unit, what, "twin", per),
+        SignalKind(name.replace("_sim_", "_sd_"), unit, deviation, "twin", per),
+    )
+
+
 def twin_signals(axis: str, per: Per) -> tuple[SignalKind, ...]:
     """Torques of the axes (a placeholder) that the twin shows, and its status."""
     residual = f"torque of axis {axis}, measured minus simulated, as the twin reports it"

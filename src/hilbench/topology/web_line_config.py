@@ -301,10 +301,7 @@ def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterat
 
 
 def rest_misfit(
-    twin: EstimationConfig,
-    machine: ModelParameters,
-    controllers: Iterable[ControllerConfig],
-    measured: Collection[str],
+    twin: EstimationConfig, machine: ModelParameters, controllers: Iterable[ControllerConfig], measured: Collection[str]
 ) -> str | None:
     """Reason why the state at rest can't be identified or requested, or None; `measured`: stations with a sensor."""
     if machine.stations is not None:

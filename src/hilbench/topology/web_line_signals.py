@@ -10,6 +10,7 @@ from hilbench.topology.signal_kinds import (
     Per,
     SignalKind,
     axes_signals,
+    estimate_signals,
     load_motor_signals,
     twin_signals,
 )
@@ -43,31 +44,14 @@ WEB_LINE: Final = (
     ),
     *load_motor_signals("m", "encoder times nominal radius"),
     SignalKind("F{span}_sim_N", "N", "web tension simulated by the twin (virtual sensor)", "twin", Per.SIMULATED),
-    SignalKind("E{span}_sim_Pa", "Pa", "Young's modulus estimated by the twin", "twin", Per.ESTIMATED),
-    SignalKind(
-        "E{span}_sd_Pa",
-        "Pa",
-        "standard deviation of the estimate, as the twin states it",
-        "twin",
-        Per.ESTIMATED,
+    *estimate_signals("E{span}_sim_Pa", "Pa", "Young's modulus estimated by the twin", "the estimate", Per.ESTIMATED),
+    *estimate_signals(
+        *("x_{carriage}_sim_m", "m", "position of the carriage of {carriage}, as the twin has it (virtual sensor)"),
+        *("the position of {carriage}", Per.CARRIAGE),
     ),
-    SignalKind(
-        "x_{carriage}_sim_m",
-        "m",
-        "position of the carriage of {carriage}, as the twin has it (virtual sensor)",
-        "twin",
-        Per.CARRIAGE,
-    ),
-    SignalKind(
-        "x_{carriage}_sd_m",
-        "m",
-        "standard deviation of the position of {carriage}, as the twin states it",
-        "twin",
-        Per.CARRIAGE,
-    ),
-    SignalKind("r_{reel}_sim_m", "m", "radius of the reel {reel} found by the twin (virtual sensor)", "twin", Per.REEL),
-    SignalKind(
-        "r_{reel}_sd_m", "m", "standard deviation of the radius of {reel}, as the twin states it", "twin", Per.REEL
+    *estimate_signals(
+        *("r_{reel}_sim_m", "m", "radius of the reel {reel} found by the twin (virtual sensor)"),
+        *("the radius of {reel}", Per.REEL),
     ),
     *twin_signals("{next}", Per.ESTIMATED),
     SignalKind(
@@ -92,11 +76,7 @@ WEB_LINE: Final = (
         Per.MEASURED_CARRIAGE,
     ),
     SignalKind(
-        "r_{reel}_meas_m",
-        "m",
-        "radius of the reel {reel}, by its emulated sensor",
-        "measured",
-        Per.MEASURED_REEL,
+        "r_{reel}_meas_m", "m", "radius of the reel {reel}, by its emulated sensor", "measured", Per.MEASURED_REEL
     ),
     SignalKind(
         "F_{cell}_meas_N",

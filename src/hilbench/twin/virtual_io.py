@@ -21,7 +21,7 @@ class TwinStatus(IntFlag):
     SYNCHRONIZED = 2  #: the deviation of the estimate is within the config's limit, without problem
     HOLDING = 4  #: the measurement is unusable: the estimate is held (reason by EMCY)
     LATE = 8  #: further SYNCs are waiting already
-    TRANSFER_REFUSED = 16  #: a measured state was implausible and was not transferred
+    TRANSFER_REFUSED = 16  #: a measured state was implausible and not transferred, or there was none for 0.25 s
     NOT_SEPARABLE = 32  #: the data don't separate all estimated parameters: they are held
     MODEL_CHANGING = 64  #: a changed model runs in parallel, or is being taken over
     MODEL_CHANGED = 128  #: the model in use has other effects than the configured one

@@ -449,14 +449,13 @@ class WebLoadTask(LoadTask):
 
     def _check_held(self, sample: CycleSample) -> None:
         """Warn of load torques that are held for long: the emulated web no longer follows. Raises BenchFaultError."""
-        held_s, held_before_s = self.model.held_s, self._held_s
-        self._held_s = held_s
-        if held_s < _LONG_HOLD_S:
+        held_before_s, self._held_s = self._held_s, self.model.held_s
+        if self._held_s < _LONG_HOLD_S:
             return
-        text = f"load torques are held for {held_s:.1f} s: there were no measured positions of all axes of one SYNC"
+        text = f"load torques are held for {self._held_s:.1f} s: no measured positions of all axes were of one SYNC"
         if held_before_s < _LONG_HOLD_S:
             self._report(text)
-        if held_s >= _LONGEST_HOLD_S:
+        if self._held_s >= _LONGEST_HOLD_S:
             raise BenchFaultError(f"t = {sample.t_s:.3f} s: load model: {text}")
 
     def _show(self, sample: CycleSample) -> None:

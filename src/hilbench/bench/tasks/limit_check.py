@@ -29,12 +29,15 @@ from hilbench.twin.virtual_io import SYNCHRONIZED
 #: since the drives were enabled; 1 if a warning is on.
 _FIGURES = record_type("cycle_s", "apart", "ratio", "started", "warned")
 _NO_LIMIT = Limit()
+#: Travel of a cycle, m, from which on an axis itself shows how long a cycle was: one that the bench has missed counts;
+#: and most cycles that do.
+_SHOWS_M, _MOST_CYCLES = 1e-4, 100.0
 
 
 class _Arrays(NamedTuple):
     """A sample; places in it of sizes, with their report thresholds, of estimates, with the model's values, and of
     positions and set points of the axes; for each axis with the one after it the difference of their positions at the
-    start, what their set points have added up to since, and how far they are off that."""
+    start, what their set points have added up to since, the last position of the latter, and how far they are off."""
 
     values: Reals
     words: Wholes
@@ -46,6 +49,7 @@ class _Arrays(NamedTuple):
     commands_at: Wholes
     at_start: Reals
     commanded: Reals
+    last: Reals
     off: Reals
     figures: Annotated[Any, _FIGURES]
 
@@ -58,10 +62,14 @@ def _look(status: int, table: Wholes2) -> int:
     values, figures = a.values, a.figures
     loud = 0 if figures.warned == 0.0 else 1
     for k in range(len(a.off)):
-        apart = values[a.positions_at[k]] - values[a.positions_at[k + 1]]
+        position, command, duration_s = values[a.positions_at[k + 1]], values[a.commands_at[k + 1]], figures.cycle_s
+        apart = values[a.positions_at[k]] - position
         if figures.started == 0.0:
-            a.at_start[k] = apart
-        a.commanded[k] += (values[a.commands_at[k]] - values[a.commands_at[k + 1]]) * figures.cycle_s
+            a.at_start[k], a.last[k] = apart, position
+        if abs(command) * duration_s > _SHOWS_M:
+            duration_s = min(max((position - a.last[k]) / command, 0.0), _MOST_CYCLES * duration_s)
+        a.commanded[k] += (values[a.commands_at[k]] - command) * duration_s
+        a.last[k] = position
         a.off[k] = abs(apart - a.at_start[k] - a.commanded[k])
         loud += not a.off[k] < figures.apart
     figures.started = 1.0
@@ -94,7 +102,7 @@ class LimitCheck(LimitMonitor):
         axes = range(1, len(differences) + 2) if differences else ()
         positions, commands = [f"x{axis}_m" for axis in axes], [f"v{axis}_cmd_m_s" for axis in axes]
         self._signals = [each.signal for each in limited], list(models), positions, commands
-        self._off, self._since_start = np.zeros(len(differences)), np.zeros((2, len(differences)))
+        self._off, self._since_start = np.zeros(len(differences)), np.zeros((3, len(differences)))
         figures = cycle_s, lowest_threshold(difference_m), lowest_threshold(ratio), 0.0, 0.0
         self._figures = np.array([figures], _FIGURES)
         self.look = PerSample(self._on)

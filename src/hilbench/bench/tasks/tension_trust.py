@@ -158,7 +158,7 @@ class VirtualSensorSupervision:
         if found == _OLD:
             return f"the twin's data are more than {config.twin_age_limit_cycles} cycles old"
         if found == _DIVERGED:
-            return f"what was measured is not what the twin simulates, for {_REFUSES_S:g} s now"
+            return f"the twin does not follow what is measured, for {_REFUSES_S:g} s now"
         if found == _NO_WEB:
             return f"the twin's data are no web's: tension {tension_N:g} N, E {modulus_Pa:g} Pa"
         if found == _OUTSIDE:

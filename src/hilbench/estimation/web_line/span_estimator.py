@@ -309,8 +309,8 @@ class SpanEstimator:
 
     @property
     def refused(self) -> bool:
-        """True if a measured state was implausible in the last cycle and was not transferred."""
-        return bool(self._t["refused"] != 0.0)
+        """True if a measured state was implausible in the last cycle and was not transferred, or there is none."""
+        return bool(self._t["refused"] != 0.0 or self._t["missed_s"] > cycle.DIVERGED_S)
 
     @property
     def diverged(self) -> bool:

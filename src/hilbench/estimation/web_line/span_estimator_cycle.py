@@ -45,7 +45,7 @@ _ALL_AT_ONCE = 0.002
 #: Largest absolute strain of a measured state that is transferred: no web has more.
 LARGEST_STRAIN = 0.5
 #: Refusals of measured states that last longer are neither an encoder's jump nor a new E that is not found yet: the
-#: simulation has diverged, s.
+#: simulation has diverged, s. Without measurements for as long it follows nothing.
 DIVERGED_S = 0.25
 
 # Stages of a cycle; `run_arrays` returns the stage that needs the interpreter, or DONE.
@@ -330,7 +330,8 @@ def equivalent_strain(strain: float, creep_ratio: float) -> float:
 @compiled
 def is_synchronized(t: Record, most_pct: float) -> bool:
     """True if E is known to `most_pct`, the measured web is in the span, and the simulated web has its strain."""
-    known = t.problem == 0.0 and t.strain_uncertainty == 0.0 and t.refused * t.cycle_s <= DIVERGED_S
+    follows = max(t.refused * t.cycle_s, t.missed_s) <= DIVERGED_S
+    known = t.problem == 0.0 and t.strain_uncertainty == 0.0 and follows
     return bool(known and t.own_deviation_Pa <= 0.01 * most_pct * t.modulus_Pa)
 
 

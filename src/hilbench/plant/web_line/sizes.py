@@ -15,11 +15,14 @@ _ALIKE_SHARE: Final = 5e-4
 #: By how much of an acceleration rollers may differ in a cycle, m/s²: five times what those of one line did that is
 #: brought to 2 m/s in 1 s by set points that go in steps of 16 ms.
 _ALIKE_M_S2: Final = 2.0
+#: Share of the usual strain of a span by which they may: its tension changes as much, which a loop hardly shows, while
+#: the rollers of a soft web, at the start, move by more than the others.
+_ALIKE_STRAINS: Final = 0.1
 
 
 def least_travel_m(model: ModelParameters, cycle_s: float) -> float:
-    """Least travel at the web for counting cycles by it: a share of the smallest roller, and by how much drives follow
-    a step of their set points differently in a cycle of `cycle_s`.
+    """Least travel at the web for counting cycles by it: a share of the smallest roller, by how much drives follow a
+    step of their set points differently in a cycle of `cycle_s`, and a share of the web's elongation.
 
     inf where a dancer, an accumulator or a reel lets the rollers turn at speeds of their own: travel has no information
     then.
@@ -27,7 +30,9 @@ def least_travel_m(model: ModelParameters, cycle_s: float) -> float:
     if model.carriages or any(isinstance(roller.station, Reel) for roller in model.line_rollers):
         return inf
     smallest_m = min(model.radius_m(axis) for axis in range(1, model.axis_count + 1))
-    return max(_ALIKE_SHARE * smallest_m, _ALIKE_M_S2 * cycle_s**2)
+    shortest_m = min((model.span_length_m(span) for span in range(1, model.span_count + 1)), default=0.0)
+    alike_m = _ALIKE_STRAINS * abs(model.upstream_strain) * shortest_m
+    return max(_ALIKE_SHARE * smallest_m, _ALIKE_M_S2 * cycle_s**2, alike_m)
 
 
 def machine_sizes(

@@ -103,7 +103,7 @@ class WebLineTwin:
 
     def _set_cycle(self, cycle_s: float) -> None:
         self._cycle_s = cycle_s
-        self._pairing = SampleCoherence(least_travel_m(self._model, cycle_s))
+        self._pairing = SampleCoherence(least_travel_m(self._model, cycle_s), cycle_s)
         self._splice_tracker = SpliceTracker(self._joined, cycle_s) if self._joined else None
         # The measurement is one torque a cycle, while the set points of a ramp go in steps: where drives have followed
         # them well before the next, as on the longer cycles of several spans, the mean is another one.
@@ -218,7 +218,7 @@ class WebLineTwin:
         self._kept = ([each.known() for each in self._all],)
         if self._others is not None:
             self._others.webs = webs
-        self._cycle.steady.reset()
+        self._pairing.forget_speed()
         return True
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
@@ -270,7 +270,6 @@ class WebLineTwin:
     def miss(self) -> None:
         """Skip a cycle without measurement: the next one is a cycle further."""
         self._pairing.miss()
-        self._cycle.steady.miss()
         for each in self._all:
             each.miss()
 

@@ -24,6 +24,7 @@ from hilbench.compiled import (
     entry_point,
     interpreted,
     merged,
+    record_in,
     record_type,
     rows_of,
     table_of,
@@ -39,7 +40,7 @@ from hilbench.estimation.web_line.span_estimator_cycle import SpanEstimatorArray
 from hilbench.estimation.web_line.splices import SUMS
 from hilbench.estimation.web_line.synchronizers import filters
 from hilbench.plant.motor_port import FEEDBACK_SIZE, TORQUE
-from hilbench.plant.sample_coherence import STEADY, IncrementCheck, SampleCoherence, coherent, increments_steadily
+from hilbench.plant.sample_coherence import COHERENCE, SampleCoherence, coherent
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import line_vectors, records, rig_cycle
 from hilbench.plant.web_line.line import Line
@@ -93,7 +94,6 @@ class _LineArrays(NamedTuple):
     table the arrays of the span estimators follow."""
 
     travels: Reals  #: state of the coherence check
-    steady: Annotated[Any, STEADY]  #: state of `increments_steadily`
     figures: Annotated[Any, _FIGURES]
     spans: Annotated[Any, array_of(_SPAN)]
     rad_per_m: Reals  #: of the motors, at the web
@@ -130,10 +130,7 @@ def _measured(a: _LineArrays) -> bool:
     x_m, measured, rad_per_m, figures = a.positions_m, a.measured, a.rad_per_m, a.figures
     for axis in range(len(x_m)):
         x_m[axis] = measured[_MEASURED_SIZE * axis] * (1.0 / rad_per_m[axis])
-    if not coherent(a.travels, x_m, figures.least_travel_m):
-        a.steady.missed += 1.0
-        return False
-    if not increments_steadily(a.steady, x_m[int(a.spans[0].place) + 1]):
+    if not coherent(a.travels, x_m, figures.least_travel_m) or record_in(a.travels, 0, COHERENCE).is_steady == 0.0:
         return False
     torques_Nm = a.torques_Nm
     if figures.ripples != 0.0:
@@ -220,7 +217,7 @@ def _publish(a: _LineArrays, table: Places, compared: bool) -> tuple[int, bool]:
             synchronized = 0
         if t.problem != 0.0:
             status |= HOLDING
-        if t.refused != 0.0:
+        if t.refused != 0.0 or t.missed_s > cycle.DIVERGED_S:
             status |= TRANSFER_REFUSED
         separable = filters.separable(v.filters) if t.bank != 0.0 else spans[k].separable != 0.0
         if not separable:
@@ -284,7 +281,6 @@ class LineCycle:
     ) -> None:
         self._estimated, self._splice_tracker, self._others = estimated, passage, others
         self._plant, self._cycle_s, axes = plant, cycle_s, model.axis_count
-        self.steady = IncrementCheck(cycle_s)  #: of the axis after the first span with an estimator
         step, least_m = plant.step_in_vectors(plant.vectors.p.item(lay.W_SAMPLE_TIME_S)), least_travel_m(model, cycle_s)
         travels, self._positions_m = pairing_of_axes.vectors(axes)
         flags = ripples, passage is not None, others is not None, True
@@ -296,7 +292,7 @@ class LineCycle:
         rad_per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, axes + 1)])
         own = np.zeros(_MEASURED_SIZE * axes), np.zeros(axes), np.zeros(FEEDBACK_SIZE * axes)
         self._by_object = _LineArrays(
-            *(travels, self.steady.vector, self._figures, self.spans, rad_per_m, self._positions_m, np.zeros(axes)),
+            *(travels, self._figures, self.spans, rad_per_m, self._positions_m, np.zeros(axes)),
             *own,
             step.motors,
             *(step.sensors, step.silence, np.zeros(2)),

@@ -30,6 +30,7 @@ from hilbench.compiled import records as array_of
 from hilbench.estimation import noise_level
 from hilbench.estimation.bank import Places
 from hilbench.estimation.web_line import transients
+from hilbench.estimation.web_line.span_estimator_cycle import DIVERGED_S
 from hilbench.estimation.web_line.transients import TransientArrays
 from hilbench.plant.motor_port import FEEDBACK_SIZE, LIMITED, TORQUE
 from hilbench.plant.sample_coherence import OWN, coherent, own_travels
@@ -40,7 +41,7 @@ from hilbench.plant.web_line.line_cycle import LOAD
 from hilbench.plant.web_line.line_kernel import Copies, FollowedLine
 from hilbench.plant.web_line.rig_cycle import RigArrays
 from hilbench.plant.web_line.sensitivity_model import SlopesArrays, put_load_slopes
-from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED
+from hilbench.twin.virtual_io import HOLDING, NOT_SEPARABLE, RUNNING, SYNCHRONIZED, TRANSFER_REFUSED
 
 #: Parts that are Python's, in their order: block of the slip detection, or torques that are of no use; a slip begins;
 #: transients to decide or to forget; correction; tensions of sections whose encoders are wrong; boundary inputs to be
@@ -301,7 +302,9 @@ def _publish(a: StationsArrays, copies: Copies) -> int:
         found = copies.motions[0, row] if row >= 0 else copies.ratios[int(station.axis)]
         values[at[place]], values[at[place + 1]] = station.scale * found, station.deviation
         place += 2
-    if a.twin.unknown_m == 0.0:
+    if a.twin.missed * a.twin.cycle_s > DIVERGED_S:
+        status |= TRANSFER_REFUSED
+    elif a.twin.unknown_m == 0.0:
         status |= SYNCHRONIZED
     if w.problem != 0.0:
         status |= HOLDING

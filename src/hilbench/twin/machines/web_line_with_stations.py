@@ -20,6 +20,7 @@ from hilbench.compiled import table_of
 from hilbench.cycle_program import CompiledStage
 from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.config import EstimationConfig
+from hilbench.estimation.web_line.span_estimator_cycle import DIVERGED_S
 from hilbench.plant.motor_port import FEEDBACK_SIZE, MotorPort
 from hilbench.plant.sample_coherence import OwnIncrements, SampleCoherence, play
 from hilbench.plant.web_line import layout as lay
@@ -165,8 +166,13 @@ class LineWithStationsTwin(OneMethod):
 
     @property
     def synchronized(self) -> bool:
-        """True if no web of unknown strain is in the line."""
-        return self._released and bool(self._twin["unknown_m"] == 0.0)
+        """True if no web of unknown strain is in the line, and it follows what is measured."""
+        return self._released and not self.refused and bool(self._twin["unknown_m"] == 0.0)
+
+    @property
+    def refused(self) -> bool:  # type: ignore[override] # of a machine that refuses nothing it is an attribute
+        """True if nothing has been measured for `DIVERGED_S`."""
+        return bool(self._twin["missed"] * self._cycle_s > DIVERGED_S)
 
     def release(self, before: Sequence[Measured], now: Sequence[Measured], *, in_motion: bool = False) -> bool:
         """Release the web, with the axes' motion and torque."""
