@@ -93,6 +93,20 @@ def test_an_axis_that_is_left_behind_for_good_is_followed_after_some_cycles(spee
     assert all(accepted[210:])
 
 
+def test_an_axis_whose_samples_are_a_cycle_late_for_good_is_refused_at_any_speed() -> None:
+    pairing, cycle_s = SampleCoherence(2e-5), 0.002
+
+    def way_m(cycle: int) -> float:
+        return 0.1 * cycle * cycle_s if cycle < 500 else 0.1 + 0.1 * (cycle - 500) * cycle_s + ramp_m(cycle - 500)
+
+    def ramp_m(cycle: int) -> float:
+        return 0.5 * (min(cycle, 1500) * cycle_s) ** 2 + 3.0 * max(cycle - 1500, 0) * cycle_s
+
+    accepted = [pairing.update(way_m(k), way_m(k - (k >= 300))) for k in range(1, 2500)]
+    assert all(accepted[:298])
+    assert not any(accepted[300:])
+
+
 #: What comes of a stretch of cycles: nothing; the same sample again; that of an axis again.
 NOTHING, ALL_OLD, FIRST_OLD, SECOND_OLD = range(4)
 

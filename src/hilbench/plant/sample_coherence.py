@@ -36,8 +36,9 @@ _LONGER = 1.5
 _NEW_RATIO, _SHOWS_RATIO = 0.05, 30.0
 #: Largest difference of such a ratio from 1: no web bears a draw so large.
 _LARGEST_DRAW = 0.1
-#: Shares of a new and of the old speed of an axis relative to the others; noise of a travel, as a share of a usual one.
-_NEW_SPEED, _LOST_SPEED, _NOISE = 0.5, 0.25, 0.25
+#: Shares of a new speed of an axis relative to the others, and of that which is lost in a cycle; noise, as a share of a
+#: usual travel; cycles without positions in which all of a speed is lost.
+_NEW_SPEED, _LOST_SPEED, _NOISE, _LOST_CYCLES = 0.5, 0.25, 0.25, 100.0
 #: Beyond any acceleration of a line.
 _FASTEST_M_S2 = 100.0
 #: Further divergence of the axes of one machine allowed per cycle, in those plays.
@@ -91,10 +92,8 @@ def _learn(axes: _Travels, positions: Vector, usual: float, least_travel: float)
     share = _NEW_RATIO * min(mean / (_SHOWS_RATIO * least_travel), 1.0)
     for k in range(len(positions)):
         more = axes.changes[k] - min(max(axes.changes[k], -noise), noise)
-        lost = min(max(_LOST_SPEED * axes.beyond[k], -_LOST_SPEED * noise), _LOST_SPEED * noise)
-        axes.beyond[k] += _NEW_SPEED * more - lost
-        ratio = abs(positions[k] - axes.last[k]) / max(mean, 1e-12)
-        ratio = axes.ratios[k] + share * (ratio - axes.ratios[k])
+        axes.beyond[k] += _NEW_SPEED * more
+        ratio = axes.ratios[k] + share * (abs(positions[k] - axes.last[k]) / max(mean, 1e-12) - axes.ratios[k])
         axes.ratios[k] = min(max(ratio, 1.0 - _LARGEST_DRAW), 1.0 + _LARGEST_DRAW)
 
 
@@ -109,18 +108,20 @@ def _judge(c: Record, axes: _Travels, positions: Vector, travel: float, least_tr
         mean += (positions[k] - axes.last[k]) / axes.ratios[k] / count
         same = same and (positions[k] != axes.last[k] or abs(c.mean + axes.beyond[k]) <= least_travel)
     c.gone += mean
-    low, high, lower, higher = np.inf, -np.inf, np.inf, -np.inf
+    low, high, lower, higher, lost = np.inf, -np.inf, np.inf, -np.inf, _LOST_SPEED * _NOISE * usual
     for k in range(count):
-        change = (positions[k] - axes.last[k]) / axes.ratios[k] - mean - c.since * axes.beyond[k]
+        change = (positions[k] - axes.last[k]) / axes.ratios[k] - mean
+        for _ in range(int(min(c.since, _LOST_CYCLES))):
+            change -= axes.beyond[k]
+            axes.beyond[k] -= min(max(_LOST_SPEED * axes.beyond[k], -lost), lost)
         low, high = min(low, change), max(high, change)
         lower, higher = min(lower, change - axes.changes[k]), max(higher, change - axes.changes[k])
         axes.changes[k] = change
-    same = same and higher - lower <= usual
+    same = same and higher - lower <= usual < high - low
     is_motion = before >= 0.0 and high - low > max(usual, _MOST_LATE * before)
-    counts = not is_motion and (high - low > usual or c.cycles == 1.0)
     low, high = np.inf, -np.inf
     for k in range(count):
-        axes.offsets[k] += axes.changes[k] if counts else 0.0
+        axes.offsets[k] += 0.0 if is_motion else axes.changes[k]
         low, high = min(low, axes.offsets[k]), max(high, axes.offsets[k])
     alike = high - low <= max(least_travel, min(_COUPLED_ALIKE * c.cycles, _ALIKE) * travel)
     c.lasting = 0.0 if alike else c.lasting + 1.0 if same else 1.0
