@@ -83,7 +83,7 @@ def test_a_twin_that_refuses_what_is_measured_is_doubted_when_that_lasts() -> No
         assert believes(trust, refuses)
     assert all(believes(trust, sure) for _ in range(2 * cycles)), "a jump of an encoder"
     assert [believes(trust, refuses) for _ in range(cycles + 1)][-1] is False
-    assert "not what the twin simulates" in trust.doubt
+    assert "does not follow what is measured" in trust.doubt
 
 
 def test_a_deviation_above_its_limit_opens_the_loop_when_it_outlasts_a_step_of_E() -> None:

@@ -14,15 +14,7 @@ import canopen
 from hilbench.can.python_can import can
 from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
-from hilbench.canopen.identifiers import (
-    COB_ID,
-    HEARTBEAT,
-    INVALID,
-    MAPPING,
-    NMT,
-    NO_REMOTE_REQUEST,
-    NmtCommand,
-)
+from hilbench.canopen.identifiers import COB_ID, HEARTBEAT, INVALID, MAPPING, NMT, NO_REMOTE_REQUEST, NmtCommand
 from hilbench.canopen.pdo import PdoMap
 from hilbench.canopen.sdo_client import Refusal, SdoClient, no_answer
 from hilbench.errors import BenchFaultError, BusError, one_line

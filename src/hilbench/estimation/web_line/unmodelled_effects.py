@@ -8,7 +8,7 @@ all effects together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import hypot, sqrt
+from math import hypot, inf, sqrt
 from typing import Final
 
 import numpy as np
@@ -33,6 +33,8 @@ _INITIAL_E: Final = 0.5
 _HOLD_WALK: Final = 0.02
 #: Force that keeps a roller at rest, and friction at the onset, over the dry friction of a turning one: anything
 #: between both signs.
+#: Deviations of dry friction below none that a posterior may have, as of a span whose load is a little less.
+_LESS_FRICTION: Final = 0.3
 _STUCK: Final = 0.6
 #: Factor on the deviation of accelerating mass: the errors of a ramp's blocks are alike.
 _ALIKE_IN_A_RAMP: Final = 1.5
@@ -157,8 +159,12 @@ class UnmodelledEffects:
         evidence, prior = s["evidence"], s["prior"]
         members = [(at, number) for number, group in enumerate(filters.GROUPS) for at in group if prior[at] > 0.0]
         evidence["count"] = len(members)
+        evidence["least"] = -inf
         for place, (at, number) in enumerate(members):
             evidence["places"][place], evidence["groups"][place] = at, number
+            if at == f.DRY:  # no friction pushes
+                least_N = balance.dry_friction_N + s["base"][at]
+                evidence["least"][place] = -least_N / sqrt(prior[at]) - _LESS_FRICTION
         self._set_cycle(cycle_s)
 
     def _set_cycle(self, cycle_s: float) -> None:

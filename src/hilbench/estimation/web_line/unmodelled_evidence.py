@@ -30,6 +30,7 @@ EVIDENCE = np.dtype(
         ("count", "i8"),  # of states that are compared
         ("places", "i8", (SIZE,)),  # indices in the filter
         ("groups", "i8", (SIZE,)),  # group of each
+        ("least", "f8", (SIZE,)),  # least possible value of each, in usual deviations
         ("accepted", "i8"),  # set of groups, a bit each
         ("lacking", "f8"),  # probability that the model lacks anything
         ("information", "f8", (SIZE, SIZE)),
@@ -123,6 +124,8 @@ def _score(s: Any, chosen: int) -> float:
     _solve(s.factor, n, s.mean)
     for i in range(n):
         total += 0.5 * s.weighed[i] * s.mean[i]
+        if s.mean[i] < s.least[i] and chosen >> s.groups[i] & 1:
+            return -1e300
     for group in range(GROUPS):
         total += log(LACKING) if chosen >> group & 1 else log(1.0 - LACKING)
     return float(total - 0.5 * determinant)

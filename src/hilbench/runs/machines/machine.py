@@ -10,15 +10,7 @@ import numpy as np
 
 from hilbench.arrays import Array
 from hilbench.runs.figures import ESTIMATE_BAND, noise_pct, still_settling
-from hilbench.runs.segment import (
-    NOISE_PEAK,
-    Figure,
-    Metric,
-    Segment,
-    UnknownFigureError,
-    after_a_step,
-    after_a_step_of,
-)
+from hilbench.runs.segment import NOISE_PEAK, Figure, Metric, Segment, UnknownFigureError, after_a_step, after_a_step_of
 from hilbench.topology.main_quantities.quantity import MainQuantity
 
 NO_STEP = "nothing stepped, or signals that it needs are not recorded"
