@@ -33,9 +33,9 @@ _INITIAL_E: Final = 0.5
 _HOLD_WALK: Final = 0.02
 #: Force that keeps a roller at rest, and friction at the onset, over the dry friction of a turning one: anything
 #: between both signs.
-#: Deviations of dry friction below none that a posterior may have, as of a span whose load is a little less.
-_LESS_FRICTION: Final = 0.3
 _STUCK: Final = 0.6
+#: By how many usual deviations a dry friction may come out below none: as much as a small offset taken for it.
+_LESS_FRICTION: Final = 0.3
 #: Factor on the deviation of accelerating mass: the errors of a ramp's blocks are alike.
 _ALIKE_IN_A_RAMP: Final = 1.5
 #: Noise of the torque until it is measured: the method's default, N·m.
