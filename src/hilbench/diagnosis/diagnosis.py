@@ -16,6 +16,7 @@ from hilbench.diagnosis import machines
 from hilbench.diagnosis.alternatives import FreeRules
 from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, unidentifiable_beside
 from hilbench.diagnosis.data_cleaning import Repair
+from hilbench.diagnosis.fed_forward import without_excess, without_oscillation
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_interval_s
 from hilbench.diagnosis.fit_with_residual_noise import lasting_change, stated_uncertainty, weights
 from hilbench.diagnosis.machines import AnyEmulation
@@ -229,7 +230,13 @@ def diagnosed(
         found = concluded(explained(chosen.simpler, model, data, announce), announce)
         if found.verdict != "unknown":
             return found
-    return concluded(explained(chosen, model, data, announce), announce)
+    explanation = explained(chosen, model, data, announce)
+    for corrected in (without_excess, without_oscillation):
+        space = explanation.space
+        proposer = proposer_for(space.predictor, model, data)
+        if (mended := corrected(space, proposer, explanation.selection, explanation.data)) is not None:
+            explanation = explained(choice(model, mended, emulation), model, mended, announce)
+    return concluded(explanation, announce)
 
 
 @dataclass(frozen=True)

@@ -282,6 +282,20 @@ class OnMeasuredMotion:
         result.rows = result._rows()
         return result
 
+    @property
+    def direction(self) -> Array:
+        """(n rows of the recording,): sign of the speed."""
+        return np.sign(self._v)
+
+    @property
+    def acceleration(self) -> Array:
+        """(n rows of the recording,): of the motor or web, in the unit of the position per s²."""
+        return self._driving.acceleration[:: self._whole]
+
+    def compared(self, values: Array) -> Array:
+        """Values (…, n rows of the recording) as they are compared (…, n of the prediction)."""
+        return self._filter.compared(values)
+
     def _compared(self, fine: Array) -> Array:
         """Values (…, fine) as they are compared (…, n of the prediction)."""
         return self._filter.compared(fine, self._whole)

@@ -33,8 +33,10 @@ def _phase() -> Parameter:
     return Parameter("phase_rad", "rad", 0.0, -2.0 * pi, 2.0 * pi, Size(1.0), required=False)
 
 
-def _relative(size: float = 0.1, name: str = "relative_change", *, required: bool = True) -> Parameter:
-    return Parameter(name, "1", 0.0, -0.95, 10.0, Size(size), required)
+def _relative(
+    size: float = 0.1, name: str = "relative_change", *, required: bool = True, lower: float = -0.95
+) -> Parameter:
+    return Parameter(name, "1", 0.0, lower, 10.0, Size(size), required)
 
 
 def _fed_forward(name: str) -> Parameter:
@@ -186,7 +188,7 @@ EFFECTS: tuple[Effect, ...] = (
         id="inertia_mismatch",
         law="m·(1+s)",
         domain=Domain.INERTIA,
-        parameters=(_relative(),),
+        parameters=(_relative(lower=-0.99),),
         object_index=0x2209,
         shown_by="ramp the speed steeply",
         kinds=_EVERY_KIND,
