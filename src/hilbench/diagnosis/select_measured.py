@@ -169,12 +169,12 @@ class MeasuredRules:
         searched = self._searched(current, white)
         more = space.strengths(current.terms, current.residual, searched)
         is_identified = [own_share(self._counted(response), moving) >= _OWN_SHARE_OF_WAVE for response in more]
-        # What grows with the torque is no more identified than what does not.
-        plain = [
-            self.order(term) for term, yes in zip(searched, is_identified, strict=True) if yes and not by_torque(term)
+        # What grows with the torque is no more identified than what does not, where that may be there as well.
+        too_alike = [
+            self.order(term) for term, yes in zip(searched, is_identified, strict=True) if not (yes or by_torque(term))
         ]
         is_identified = [
-            yes and (not by_torque(term) or self.order(term) in plain)
+            yes and not (by_torque(term) and self.order(term) in too_alike)
             for term, yes in zip(searched, is_identified, strict=True)
         ]
         searched, more = list(compress(searched, is_identified)), list(compress(more, is_identified))

@@ -37,7 +37,8 @@ _SHOWS_M, _MOST_CYCLES = 1e-4, 100.0
 class _Arrays(NamedTuple):
     """A sample; places in it of sizes, with their report thresholds, of estimates, with the model's values, and of
     positions and set points of the axes; for each axis with the one after it the difference of their positions at the
-    start, what their set points have added up to since, the last position of the latter, and how far they are off."""
+    start, what their set points have added up to since, the last position of the latter, and how far they are off: in
+    this sample and the one before, as a single late one is, and in this sample alone."""
 
     values: Reals
     words: Wholes
@@ -51,6 +52,7 @@ class _Arrays(NamedTuple):
     commanded: Reals
     last: Reals
     off: Reals
+    off_now: Reals
     figures: Annotated[Any, _FIGURES]
 
 
@@ -70,7 +72,8 @@ def _look(status: int, table: Wholes2) -> int:
             duration_s = min(max((position - a.last[k]) / command, 0.0), _MOST_CYCLES * duration_s)
         a.commanded[k] += (values[a.commands_at[k]] - command) * duration_s
         a.last[k] = position
-        a.off[k] = abs(apart - a.at_start[k] - a.commanded[k])
+        off, before = abs(apart - a.at_start[k] - a.commanded[k]), a.off_now[k]
+        a.off[k], a.off_now[k] = before if off > before else off, off
         loud += not a.off[k] < figures.apart
     figures.started = 1.0
     for k in range(len(a.thresholds)):
@@ -102,7 +105,7 @@ class LimitCheck(LimitMonitor):
         axes = range(1, len(differences) + 2) if differences else ()
         positions, commands = [f"x{axis}_m" for axis in axes], [f"v{axis}_cmd_m_s" for axis in axes]
         self._signals = [each.signal for each in limited], list(models), positions, commands
-        self._off, self._since_start = np.zeros(len(differences)), np.zeros((3, len(differences)))
+        self._since_start = np.zeros((5, len(differences)))
         figures = cycle_s, lowest_threshold(difference_m), lowest_threshold(ratio), 0.0, 0.0
         self._figures = np.array([figures], _FIGURES)
         self.look = PerSample(self._on)
@@ -113,7 +116,7 @@ class LimitCheck(LimitMonitor):
         thresholds = np.array([lowest_threshold(each.limit) for each in self._limited])
         arrays = _Arrays(
             *(sample.reals, sample.wholes, sizes, thresholds, estimates, np.array([*self._models.values()])),
-            *(positions, commands, *self._since_start, self._off, self._figures),
+            *(positions, commands, *self._since_start, self._figures),
         )
         return CompiledStage(_look, type(sample).place("twin_status"), arrays, continues=BELOW_LIMITS, fallback=never)
 
@@ -127,7 +130,7 @@ class LimitCheck(LimitMonitor):
         for each in self._limited:
             value = getattr(sample, each.signal)
             yield each.name, value if each.signed else abs(value), f" {each.unit}", each.limit
-        for name, difference_m in zip(self._differences, self._off.tolist(), strict=True):
+        for name, difference_m in zip(self._differences, self._since_start[3].tolist(), strict=True):
             yield name, difference_m, " m", self._difference_m
         if is_synchronized(sample):
             for signal, value in self._models.items():
