@@ -12,9 +12,9 @@ import pytest
 
 import can
 from hilbench.apps.canopen_tools.bus_scan import scan
-from hilbench.apps.doctor.bench_subject import expected_nodes
-from hilbench.apps.doctor.check_stations import ExpectedNode, NodeAnswers, ask, check_node, check_received
+from hilbench.apps.doctor.check_stations import NodeAnswers, ask, check_node, check_received
 from hilbench.apps.doctor.findings import Check, Finding, Level
+from hilbench.apps.doctor.subject import ExpectedNode, expected_nodes
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus
 from hilbench.canopen.clock import MonotonicClock

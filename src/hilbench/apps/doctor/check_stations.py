@@ -4,44 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from hilbench.apps.doctor.findings import Check, Finding, error, ok, warning
+from hilbench.apps.doctor.subject import ExpectedNode, MappedObject
 from hilbench.canopen.listening import Received, master_at_work
 from hilbench.canopen.sdo_client import Answer, Refusal, SdoClient
 
 _IDENTITY_ENTRIES = 3  # vendor id, product code, revision number
 _PROFILE_MASK = 0xFFFF  # 1000h: device profile number in the low half
 _WRITE_ONLY = 0x06010001
-
-
-@dataclass(frozen=True)
-class MappedObject:
-    """An object that the bench maps into a PDO, with its length by the EDS in bits."""
-
-    index: int
-    sub: int
-    name: str
-    bits: int
-
-
-@dataclass(frozen=True)
-class ExpectedNode:
-    """A node of the config, as its EDS file has it; None where the file does not state it."""
-
-    part: str
-    node_id: int
-    eds: Path
-    ours: bool  #: `hilbench run` starts it: simulated hardware or twin
-    device_type: int | None = None
-    #: Vendor id, product code and revision: for each, what [DeviceInfo] and 1018h give (0: nothing).
-    identity: tuple[frozenset[int], ...] = (frozenset(), frozenset(), frozenset())
-    mapped: tuple[MappedObject, ...] = ()
-
-    @property
-    def subject(self) -> str:
-        """Name of the node in findings."""
-        return f"{self.part.replace('_', ' ')} (node {self.node_id})"
 
 
 @dataclass(frozen=True)
@@ -69,12 +40,10 @@ def check_received(
     received: Received, expected: Sequence[ExpectedNode], master_id: int, bus: str, claimed_by: str | None = None
 ) -> list[Finding]:
     """Findings on unsolicited frames; `claimed_by`: the program that has claimed to be the master."""
-    findings = []
     master = master_at_work(received, claimed_by, master_id)
-    if master is not None:
-        findings.append(error(Check.OTHER_MASTER, bus, master))
-    else:
-        findings.append(ok(Check.OTHER_MASTER, bus, "none received"))
+    findings = [
+        ok(Check.OTHER_MASTER, bus, "none received") if master is None else error(Check.OTHER_MASTER, bus, master)
+    ]
     known = {node.node_id for node in expected} | {master_id}
     strangers = {node_id: ids for node_id, ids in received.nodes.items() if node_id not in known}
     if strangers:
@@ -143,12 +112,7 @@ def _object(node: ExpectedNode, item: MappedObject, answers: NodeAnswers) -> Fin
         return None  # it is there, and its length cannot be seen
     if isinstance(answer, bytes) and 8 * len(answer) == item.bits:
         return None
-    if answer is None:
-        found = "no answer"
-    elif isinstance(answer, Refusal):
-        found = str(answer)
-    else:
-        found = f"{8 * len(answer)} bits"
+    found = f"{8 * len(answer)} bits" if isinstance(answer, bytes) else str(answer or "no answer")
     text = f"{_object_name(item)} '{item.name}': {found}"
     return error(Check.MAPPED_OBJECTS, node.subject, text, bits=item.bits, eds=node.eds.name)
 
