@@ -26,7 +26,7 @@ def check_interface(before: InterfaceFacts, after: InterfaceFacts, subject: Subj
     name = before.name
     if not before.exists:
         problem = "no_vcan" if name.startswith("vcan") else "no_interface"
-        return [error(Check.INTERFACE, name, "no such interface", problem, name=name)]
+        return [error(Check.INTERFACE, name, "no such interface", problem)]
     if not before.is_can:
         return [error(Check.INTERFACE, name, "no CAN interface", "no_can_interface")]
     up = ok(Check.UP, name, "up")
@@ -53,7 +53,7 @@ def _bitrate(facts: InterfaceFacts, subject: Subject) -> Finding:
         return ok(Check.BITRATE, name, "none: a vcan has no wire")
     if facts.bitrate == subject.bitrate:
         return ok(Check.BITRATE, name, found)
-    values = {**wanted, "source": subject.bitrate_source, "name": name, "up_command": _up_command(facts, subject)}
+    values = {**wanted, "source": subject.bitrate_source, "up_command": _up_command(facts, subject)}
     if facts.bitrate is None:
         return warning(Check.BITRATE, name, "not reported by the driver", "bitrate_not_reported", **values)
     return error(Check.BITRATE, name, found, "bitrate", **values)
@@ -62,11 +62,9 @@ def _bitrate(facts: InterfaceFacts, subject: Subject) -> Finding:
 def _modes(facts: InterfaceFacts) -> Iterator[Finding]:
     for mode in facts.modes:
         if mode in _ENDS_COMMUNICATION:
-            yield error(Check.MODE, facts.name, mode, "mode_ends_communication", name=facts.name, mode=mode.lower())
+            yield error(Check.MODE, facts.name, mode, "mode_ends_communication", mode=mode.lower())
         elif mode in _CHANGES_COMMUNICATION:
-            yield warning(
-                Check.MODE, facts.name, mode, "mode_changes_communication", name=facts.name, mode=mode.lower()
-            )
+            yield warning(Check.MODE, facts.name, mode, "mode_changes_communication", mode=mode.lower())
     if not set(facts.modes) & {*_ENDS_COMMUNICATION, *_CHANGES_COMMUNICATION}:
         yield ok(Check.MODE, facts.name, " ".join(facts.modes) or "normal")
 
@@ -78,10 +76,10 @@ def _state(facts: InterfaceFacts) -> Iterator[Finding]:
     if facts.state == "ERROR-ACTIVE":
         yield ok(Check.CAN_STATE, facts.name, facts.state)
     elif facts.state in _STATES_OF_ERROR:
-        yield error(Check.CAN_STATE, facts.name, facts.state, facts.state, name=facts.name)
+        yield error(Check.CAN_STATE, facts.name, facts.state, facts.state)
     else:
         problem = "ERROR-WARNING" if facts.state == "ERROR-WARNING" else ""
-        yield warning(Check.CAN_STATE, facts.name, facts.state, problem, name=facts.name)
+        yield warning(Check.CAN_STATE, facts.name, facts.state, problem)
 
 
 def _error_counters(facts: InterfaceFacts) -> Iterator[Finding]:
@@ -90,9 +88,9 @@ def _error_counters(facts: InterfaceFacts) -> Iterator[Finding]:
         return
     found = f"transmit {sent}, receive {received}"
     if max(sent, received) >= _WARNING_LIMIT:
-        yield error(Check.ERROR_COUNTERS, name, found, most=_WARNING_LIMIT - 1, name=name)
+        yield error(Check.ERROR_COUNTERS, name, found, most=_WARNING_LIMIT - 1)
     elif sent or received:
-        yield warning(Check.ERROR_COUNTERS, name, found, "few_errors", name=name)
+        yield warning(Check.ERROR_COUNTERS, name, found, "few_errors")
     else:
         yield ok(Check.ERROR_COUNTERS, name, found)
 
@@ -103,9 +101,9 @@ def _past_errors(before: InterfaceFacts, after: InterfaceFacts) -> Iterator[Find
     new = ", ".join(f"{counter} +{count}" for counter, count in grown.items() if count > 0)
     old = ", ".join(f"{counter} {count}" for counter, count in before.counters.items() if count)
     if new:
-        yield error(Check.PAST_ERRORS, name, f"during this check: {new}", name=name)
+        yield error(Check.PAST_ERRORS, name, f"during this check: {new}")
     elif old:
-        yield warning(Check.PAST_ERRORS, name, old, "old_errors", name=name)
+        yield warning(Check.PAST_ERRORS, name, old, "old_errors")
     elif before.counters:
         yield ok(Check.PAST_ERRORS, name, "none")
 
@@ -115,7 +113,7 @@ def _restart(facts: InterfaceFacts) -> Iterator[Finding]:
         yield ok(Check.RESTART, facts.name, "restart-ms 0: bus-off persists until restarted by hand")
     elif facts.restart_ms is not None:
         found = f"restart-ms {facts.restart_ms}: comes back by itself after bus-off"
-        yield warning(Check.RESTART, facts.name, found, name=facts.name)
+        yield warning(Check.RESTART, facts.name, found)
 
 
 def _queue_length(facts: InterfaceFacts, subject: Subject) -> Finding:
@@ -127,4 +125,4 @@ def _queue_length(facts: InterfaceFacts, subject: Subject) -> Finding:
     found = f"{facts.queue_length} frames"
     if facts.queue_length >= wanted:
         return ok(Check.QUEUE_LENGTH, name, found)
-    return warning(Check.QUEUE_LENGTH, name, found, wanted=wanted, frames=frames, name=name, good=_GOOD_QUEUE)
+    return warning(Check.QUEUE_LENGTH, name, found, wanted=wanted, frames=frames, good=_GOOD_QUEUE)
