@@ -119,7 +119,7 @@ FAULTS = {
 
 
 def failed(bus: VirtualBus, *groups: str) -> set[str]:
-    results = examine(under_test(bus, motion=True), groups)
+    results = list(examine(under_test(bus, motion=True), groups))
     return {result.name for result in results if result.verdict is Verdict.FAILED}
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from tests.canopen.device_under_test import SECTIONS, eds_text, var
 from tests.conformance.virtual_bus import SERVO_EDS, VirtualBus, under_test
 
-from hilbench.apps.conformance.examine import CASES, examine
+from hilbench.apps.conformance.examine import examine
+from hilbench.apps.conformance.listing import listed_cases
 from hilbench.apps.conformance.record import Verdict
 from hilbench.can.frame import REMOTE_FLAG, Frame
 from hilbench.canopen.object_store import SEQUENCE_NUMBER, UNKNOWN_COMMAND
@@ -137,7 +139,7 @@ CHOICES: list[tuple[Callable[[VirtualBus], None], set[str]]] = [
 def test_what_a_device_is_free_to_do_passes(choice: Callable[[VirtualBus], None], cases: set[str]) -> None:
     bus = VirtualBus()
     choice(bus)
-    results = examine(under_test(bus), sorted({case.rpartition(" ")[0] for case in cases}))
+    results = list(examine(under_test(bus), sorted({case.rpartition(" ")[0] for case in cases})))
     verdicts = {result.name: result.verdict for result in results}
     assert {case: verdicts[case] for case in cases} == dict.fromkeys(cases, Verdict.PASSED)
 
@@ -175,7 +177,7 @@ def test_a_device_that_does_not_come_back_from_its_reset_is_told_in_one_line() -
     with pytest.raises(
         BenchFaultError, match=r"node 5 can't be examined: boot-up message: expected 705 00, seen no 705"
     ):
-        examine(under_test(bus, store=True), ["EMCY"])
+        list(examine(under_test(bus, store=True), ["EMCY"]))
 
 
 def test_a_parameter_that_is_not_readable_for_a_while_between_two_cases_does_not_end_the_examination() -> None:
@@ -189,7 +191,11 @@ def test_a_parameter_that_is_not_readable_for_a_while_between_two_cases_does_not
         return frame
 
     dut = under_test(bus)
-    results = examine(dut, ["PDO", "OD"], lambda result: bus.says.append(say) if result.name == "PDO 1" else None)
+    results = []
+    for result in examine(dut, ["PDO", "OD"]):
+        results.append(result)
+        if result.name == "PDO 1":
+            bus.says.append(say)
     assert len(refused) == 12
     assert {result.name for result in results} >= {"PDO 33", "OD 9"}
 
@@ -197,7 +203,7 @@ def test_a_parameter_that_is_not_readable_for_a_while_between_two_cases_does_not
 def test_a_device_without_emcy_misses_none_of_a_lost_heartbeat(tmp_path: Path) -> None:
     eds = tmp_path / "silent.eds"
     eds.write_text(eds_text({index: text for index, text in SECTIONS.items() if index not in ("1014", "1015")}))
-    results = examine(under_test(VirtualBus(SERVO_EDS), eds), ["Heartbeat"])
+    results = list(examine(under_test(VirtualBus(SERVO_EDS), eds), ["Heartbeat"]))
     assert [result.name for result in results if result.verdict is Verdict.NOT_APPLICABLE] == [
         "Heartbeat 6",
         "Heartbeat 7",
@@ -228,7 +234,8 @@ def test_a_case_that_fails_unexpectedly_is_one_case(monkeypatch: pytest.MonkeyPa
     def fails(_dut: object) -> None:
         raise IndexError("bytes index out of range")
 
-    monkeypatch.setitem(CASES, "SYNC 1", fails)  # type: ignore[arg-type] # a Mapping to others
+    cases = [replace(case, actions=[fails]) if case.name == "SYNC 1" else case for case in listed_cases()]
+    monkeypatch.setattr("hilbench.apps.conformance.examine.listed_cases", lambda: cases)
     results = {
         result.number: result for result in examine(under_test(VirtualBus()), {"SYNC"}) if result.group == "SYNC"
     }

@@ -11,7 +11,7 @@ from tests.cia402.every_mode import eds_file
 from tests.conformance.virtual_bus import SERVO_EDS, VirtualBus, under_test
 from tests.tiers import slow
 
-from hilbench.apps.conformance.examine import CASES, examine
+from hilbench.apps.conformance.examine import examine
 from hilbench.apps.conformance.listing import listed_cases
 from hilbench.apps.conformance.record import CaseResult, Verdict
 from hilbench.errors import UnusableInputError
@@ -54,11 +54,10 @@ def test_the_list_is_whole_and_each_case_is_examined() -> None:
     numbers = {group: [case.number for case in listed_cases() if case.group == group] for group in SIZES}
     assert numbers == {group: list(range(1, size + 1)) for group, size in SIZES.items()}
     assert sum(size for group, size in SIZES.items() if group not in OF_DRIVES) == 127
-    assert set(CASES) == {case.name for case in listed_cases()}
 
 
 def test_servo_drive_passes_all_that_its_file_has() -> None:
-    results = examine(under_test(VirtualBus(), motion=True, store=True))
+    results = list(examine(under_test(VirtualBus(), motion=True, store=True)))
     assert names(results, Verdict.FAILED) == names(results, Verdict.NOT_ALLOWED) == set()
     absent = names(results, Verdict.NOT_APPLICABLE)
     assert {name for name in absent if name.rpartition(" ")[0] not in OF_DRIVES} == NOT_APPLICABLE
@@ -72,7 +71,7 @@ def test_servo_drive_passes_all_that_its_file_has() -> None:
 
 def test_drive_with_every_mode_passes_what_its_file_has(tmp_path: Path) -> None:
     eds = eds_file(tmp_path)
-    results = examine(under_test(VirtualBus(eds), eds, motion=True), list(OF_DRIVES))
+    results = list(examine(under_test(VirtualBus(eds), eds, motion=True), list(OF_DRIVES)))
     assert names(results, Verdict.FAILED) == set()
     assert {"Modes 3", "Modes 4", "Modes 5", "Modes 6", "Limits 1", "Limits 3"} <= names(results, Verdict.PASSED)
 
@@ -80,7 +79,7 @@ def test_drive_with_every_mode_passes_what_its_file_has(tmp_path: Path) -> None:
 def test_write_only_objects_are_examined_where_there_are_some(tmp_path: Path) -> None:
     eds = tmp_path / "device.eds"
     eds.write_text(eds_text({**PLAIN, "2001": var("Write only", U8, "wo", ""), "6060": var("Mode", U16)}))
-    results = examine(under_test(VirtualBus(eds), eds), ["SDO", "OD"])
+    results = list(examine(under_test(VirtualBus(eds), eds), ["SDO", "OD"]))
     assert {"SDO 4", "OD 4"} <= names(results, Verdict.PASSED)
 
 
@@ -92,7 +91,7 @@ def test_nothing_moves_and_nothing_is_stored_without_being_allowed() -> None:
             bus.device.cell(index, sub).on_write = signatures.append
     modes = set()
     bus.steps.append(lambda: modes.add(bus.node.port.mode))
-    results = examine(under_test(bus))
+    results = list(examine(under_test(bus)))
     assert modes == {MotorMode.OFF}
     assert signatures == []
     assert names(results, Verdict.FAILED) == set()
@@ -109,7 +108,7 @@ def test_everything_is_as_it_was_afterwards(allowed: bool) -> None:
     device.cell(0x1017).value = 250
     device.cell(0x1400, 1).value = 0x80000305
     before = values(bus)
-    results = examine(under_test(bus, motion=allowed, store=allowed))
+    results = list(examine(under_test(bus, motion=allowed, store=allowed)))
     assert names(results, Verdict.FAILED) == set()
     assert values(bus) == before
     device.reset_node()
@@ -134,7 +133,7 @@ def test_a_drive_with_power_is_left_alone() -> None:
     for word in (0x06, 0x07, 0x0F):
         bus.send(0x605, bytes((0x2B, 0x40, 0x60, 0, word, 0, 0, 0)))
     with pytest.raises(UnusableInputError, match="OPERATION ENABLED, expected a drive without power"):
-        examine(under_test(bus))
+        list(examine(under_test(bus)))
     assert SERVO_EDS.exists()
 
 
@@ -142,6 +141,6 @@ def test_a_drive_with_guarding_passes_its_cases(tmp_path: Path) -> None:
     eds = tmp_path / "guarded.eds"
     added = {"100C": var("Guard time", U16), "100D": var("Life time factor", U8)}
     eds.write_text(SERVO_EDS.read_text() + "\n" + eds_text(added))
-    found = examine(under_test(VirtualBus(eds), eds), ["Guarding", "Heartbeat and guarding"])
+    found = list(examine(under_test(VirtualBus(eds), eds), ["Guarding", "Heartbeat and guarding"]))
     assert names(found, Verdict.FAILED) == set()
     assert names(found, Verdict.NOT_APPLICABLE) == {"Guarding 4", "Heartbeat and guarding 5"}

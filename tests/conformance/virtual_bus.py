@@ -8,8 +8,7 @@ from pathlib import Path
 from tests.canopen.device_under_test import HandClock
 
 from hilbench.apps.conformance.description import Description
-from hilbench.apps.conformance.dut import Allowed, DeviceUnderTest
-from hilbench.apps.conformance.wire import ReceivedFrame
+from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.devices.application import DrivesApplication
 from hilbench.apps.devices.behaviour import Behaviour
 from hilbench.apps.devices.simulation import simulated_axes
@@ -33,7 +32,7 @@ class VirtualBus:
         self.says: list[Callable[[Frame], Frame | None]] = []
         self.hears: list[Callable[[Frame], Frame]] = []
         self.steps: list[Callable[[], None]] = []
-        self._received: list[ReceivedFrame] = []
+        self._received: list[Frame] = []
         self.device.boot()
         self._collect()
         self._received.clear()
@@ -55,10 +54,10 @@ class VirtualBus:
 
     def put(self, frame: Frame) -> None:
         """On the wire, from whomever."""
-        self._received.append(ReceivedFrame(self.clock.ns * 1e-9, frame.can_id, frame.data))
+        self._received.append(frame._replace(time_ns=self.clock.ns))
 
-    def listen(self, duration_s: float, until: Callable[[ReceivedFrame], bool] | None = None) -> list[ReceivedFrame]:
-        found: list[ReceivedFrame] = []
+    def listen(self, duration_s: float, until: Callable[[Frame], bool] | None = None) -> list[Frame]:
+        found: list[Frame] = []
         deadline_ns = self.clock.ns + round(duration_s * 1e9)
         while True:
             while self._received:
@@ -90,4 +89,5 @@ class VirtualBus:
 
 
 def under_test(bus: VirtualBus, eds: Path = SERVO_EDS, *, motion: bool = False, store: bool = False) -> DeviceUnderTest:
-    return DeviceUnderTest(bus, bus.device.node_id, Description(eds, bus.device.node_id), Allowed(motion, store))
+    node_id = bus.device.node_id
+    return DeviceUnderTest(bus, node_id, Description(eds, node_id), motion=motion, store=store)

@@ -171,7 +171,7 @@ def test_each_change_is_found_and_nothing_else(
         said = device(folder, tmp_path, part, {name: values[int(rng.integers(len(values)))]})
         (found,) = found_in(folder, last, said)
         assert (found.kind, found.key) == (what, f"{part}.{name}")
-        assert found.before is not None
+        assert found.last_run is not None
     elif kind == "file":
         name, file = str(rng.choice(OF_FILES)), folder / f"{part}.eds"
         before = file.read_text()
@@ -203,7 +203,7 @@ def test_without_a_run_drives_are_compared_with_their_files(folder: Path, tmp_pa
     said = device(folder, tmp_path, "axis2", {"608Fh:1": 65536, "1018h:2": 0x999, "6085h": 5})
     found = drifts(config, said, None, None, fresh=frozenset())
     assert {each.key for each in found} == {"axis2.608Fh:1", "axis2.1018h:2"}
-    assert all(each.by_file is not None and each.before is None for each in found)
+    assert all(each.eds is not None and each.last_run is None for each in found)
 
 
 def drift(folder: Path, *words: str, code: int) -> str:

@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from hilbench.apps.canopen_tools.interface import InterfaceFacts, parse_ip_link, read_sysfs
-from hilbench.apps.doctor.check_interface import InterfaceNeeds, check_interface
+from hilbench.apps.doctor.check_interface import check_interface
 from hilbench.apps.doctor.findings import Check, Finding, Level
+from hilbench.apps.doctor.subject import Subject
+from hilbench.can.open import BusAddress
 
 CAPTURED = Path(__file__).parent / "captured"
-NEEDS = InterfaceNeeds(bitrate=1_000_000, frames_per_cycle=13)
+SUBJECT = Subject(BusAddress("socketcan", "can0", 1_000_000), realtime=True, frames_per_cycle=13)
 
 
 def captured(name: str) -> InterfaceFacts:
@@ -20,7 +22,7 @@ def captured(name: str) -> InterfaceFacts:
 
 
 def judge(facts: InterfaceFacts, after: InterfaceFacts | None = None) -> dict[Check, Finding]:
-    findings = check_interface(facts, after or facts, NEEDS)
+    findings = check_interface(facts, after or facts, SUBJECT)
     assert len({finding.check for finding in findings}) == len(findings)
     for finding in findings:
         assert "\n" not in finding.advice

@@ -10,12 +10,13 @@ import pytest
 from hilbench.apps.doctor.check_machine import (
     Lateness,
     MachineFacts,
-    MachineNeeds,
     check_machine,
     measure_lateness,
     read_machine,
 )
 from hilbench.apps.doctor.findings import Check, Finding, Level
+from hilbench.apps.doctor.subject import Subject
+from hilbench.can.open import BusAddress
 
 GOOD = MachineFacts(
     clock_resolution_s=1e-9,
@@ -32,11 +33,11 @@ GOOD = MachineFacts(
     governors=("performance",),
 )
 IN_TIME = Lateness(250, 20.0, 60.0, 90.0)
-REALTIME = MachineNeeds(realtime=True, cycle_s=0.002, socketcan=True)
+REALTIME = Subject(BusAddress("socketcan", "can0"), realtime=True)
 
 
-def judge(facts: MachineFacts, lateness: Lateness = IN_TIME, needs: MachineNeeds = REALTIME) -> dict[Check, Finding]:
-    return {finding.check: finding for finding in check_machine(facts, lateness, needs)}
+def judge(facts: MachineFacts, lateness: Lateness = IN_TIME, subject: Subject = REALTIME) -> dict[Check, Finding]:
+    return {finding.check: finding for finding in check_machine(facts, lateness, subject)}
 
 
 def not_ok(findings: dict[Check, Finding]) -> list[Check]:
@@ -80,10 +81,10 @@ def test_a_late_timer(lateness: Lateness) -> None:
 
 def test_in_lockstep_time_does_not_matter_but_lost_frames_do() -> None:
     bad = replace(GOOD, clock_source="hpet", priority_limit=0, preempt_rt=False, isolated_cores="", governors=("a",))
-    lockstep = MachineNeeds(realtime=False, cycle_s=0.002, socketcan=True)
-    assert not_ok(judge(bad, needs=lockstep)) == []
-    assert not_ok(judge(replace(bad, receive_buffer_bytes=1000), needs=lockstep)) == [Check.RECEIVE_BUFFER]
-    assert Check.RECEIVE_BUFFER not in judge(bad, needs=replace(lockstep, socketcan=False))
+    lockstep = replace(REALTIME, realtime=False)
+    assert not_ok(judge(bad, subject=lockstep)) == []
+    assert not_ok(judge(replace(bad, receive_buffer_bytes=1000), subject=lockstep)) == [Check.RECEIVE_BUFFER]
+    assert Check.RECEIVE_BUFFER not in judge(bad, subject=replace(lockstep, bus=None))
 
 
 def files(root: Path, content: dict[str, str]) -> Path:

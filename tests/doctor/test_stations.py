@@ -12,9 +12,9 @@ import pytest
 
 import can
 from hilbench.apps.canopen_tools.bus_scan import scan
-from hilbench.apps.doctor.bench_subject import expected_nodes
-from hilbench.apps.doctor.check_stations import ExpectedNode, NodeAnswers, ask, check_node, check_received
+from hilbench.apps.doctor.check_stations import ask, check_node, check_received
 from hilbench.apps.doctor.findings import Check, Finding, Level
+from hilbench.apps.doctor.subject import ExpectedNode, expected_nodes
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus
 from hilbench.canopen.clock import MonotonicClock
@@ -164,13 +164,14 @@ def test_the_eds_of_another_device(bus: MemoryBus, nodes: list[ExpectedNode]) ->
 def test_identity(nodes: list[ExpectedNode], given: dict[str, object], level: Level) -> None:
     words = [number.to_bytes(4, "little") for number in (0x00020192, 0, 0x402, 0x10000)]
     node = replace(nodes[0], mapped=(), **given)  # type: ignore[arg-type]
-    assert levels(check_node(node, NodeAnswers(words[0], tuple(words[1:]))))[Check.IDENTITY] is level
+    answers = dict(zip([(0x1000, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3)], words, strict=True))
+    assert levels(check_node(node, answers))[Check.IDENTITY] is level
 
 
 def test_an_object_that_can_only_be_written_is_there(nodes: list[ExpectedNode]) -> None:
     word = bytes(4)
     node = replace(nodes[0], device_type=None, identity=(frozenset(),) * 3, mapped=nodes[0].mapped[:1])
-    answers = NodeAnswers(word, (word, word, word), {(0x6040, 0): Refusal(0x06010001)})
+    answers = {(0x1000, 0): word, **{(0x1018, sub): word for sub in (1, 2, 3)}, (0x6040, 0): Refusal(0x06010001)}
     assert levels(check_node(node, answers))[Check.MAPPED_OBJECTS] is Level.OK
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,16 +35,14 @@ def boot(
     Example: hilbench boot network/master.dcf --bus socketcan:can0
     """
     from hilbench.apps.canopen_tools.attach import BusSession
-    from hilbench.can.open import open_python_can
-    from hilbench.canopen.master import Master
     from hilbench.canopen.network_boot import boot_network, read_plan
 
     plan = read_plan(file)
     with BusSession(None, bus) as on:
         on.be_only_master(f"boot {file.name}", force=force)
-        master = Master(open_python_can(on.bus), _SDO_TIMEOUT_S)
-        on.callback(master.close)
-        found = boot_network(master, plan, timeout_s, lambda booted: None if json else print(_line(booted)))
+        found = boot_network(
+            on.master(_SDO_TIMEOUT_S), plan, timeout_s, lambda booted: None if json else print(_line(booted))
+        )
     failed = [booted for booted in found if booted.error is not None]
     mandatory = any(booted.slave.mandatory for booted in failed)
     if json:
@@ -71,5 +68,5 @@ def _as_data(booted: Booted) -> dict[str, Any]:
         "mandatory": booted.slave.mandatory,
         "error_status": booted.error,
         "reason": booted.reason,
-        "written": [asdict(write) | {"data": write.data.hex()} for write in booted.slave.configuration],
+        "written": booted.slave.configuration,
     }

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hilbench.apps.canopen_tools.eds_match import EdsFile, read_identity
+from hilbench.apps.canopen_tools.eds_match import EdsFile, fitting, read_identity
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.can.protocol import DEFAULT_BITRATE
@@ -48,11 +48,6 @@ class Scan:
     stations: list[Station]
     master: str | None = None
     waited_s: float = 0.0  #: for answers of sixteen nodes at a time; 0: none was requested
-
-    @property
-    def master_at_work(self) -> bool:
-        """True if there is one."""
-        return self.master is not None
 
 
 def scan(
@@ -104,7 +99,7 @@ def _ask(reader: SdoClient, node_id: int, nmt_state: str | None, files: Sequence
         return Station(node_id, nmt_state)
     kind = int.from_bytes(device_type, "little")
     identity = read_identity(reader, node_id)
-    fitting = sorted((f for f in files if f.fits(identity)), key=lambda file: not file.is_of_revision(identity[2]))
+    eds = next(iter(fitting(files, identity)), None)
     name, hardware, firmware = (_text(reader, node_id, index) for index in (0x1008, 0x1009, 0x100A))
     return Station(
         node_id,
@@ -115,8 +110,8 @@ def _ask(reader: SdoClient, node_id: int, nmt_state: str | None, files: Sequence
         hardware,
         firmware,
         _drive_states(reader, node_id, kind >> 16) if kind & 0xFFFF == _CIA_402 else None,
-        fitting[0].path if fitting else None,
-        fitting[0].is_of_revision(identity[2]) if fitting else None,
+        None if eds is None else eds.path,
+        None if eds is None else eds.is_of_revision(identity[2]),
     )
 
 
@@ -129,16 +124,9 @@ def _drive_states(reader: SdoClient, node_id: int, information: int) -> str | No
     """States of the axes of a node; `information`: the upper half of 1000h, which states if there are several."""
     states: list[str] = []
     for axis in range(1, (MOST_AXES if information == SEVERAL else 1) + 1):
-        state = _drive_state(reader, node_id, axis)
-        if state is None:
+        answer = reader.read(node_id, object_of(axis, objects.STATUSWORD))
+        if not isinstance(answer, bytes):
             break
-        states.append(state)
+        state = decode_statusword(int.from_bytes(answer, "little"))
+        states.append(state.label if state is not None else "unknown")
     return ", ".join(states) or None
-
-
-def _drive_state(reader: SdoClient, node_id: int, axis: int) -> str | None:
-    answer = reader.read(node_id, object_of(axis, objects.STATUSWORD))
-    if not isinstance(answer, bytes):
-        return None
-    state = decode_statusword(int.from_bytes(answer, "little"))
-    return state.label if state is not None else "unknown"

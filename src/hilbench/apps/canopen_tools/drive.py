@@ -129,7 +129,7 @@ def drive(
     """
     if value is not None and action not in (*_UNITS, Action.HOME):
         raise UnusableInputError("VALUE", f"'{value}' with {action}, expected none")
-    from hilbench.apps.canopen_tools.attach import MASTER_ID, BusSession, drive_on_node, node_on_bus
+    from hilbench.apps.canopen_tools.attach import MASTER_ID, BusSession
     from hilbench.can.frame import Frame
     from hilbench.canopen.identifiers import COB_ID, HEARTBEAT, NMT, NmtState
     from hilbench.cia402.axis import axes
@@ -140,10 +140,10 @@ def drive(
     given = _given_units(units or [])
     with BusSession(config, bus) as on:
         bench = on.bench
-        node, of_node = drive_on_node(node, bench, axis)
+        node, of_node = on.drive(node, axis)
         if action is not Action.STATUS:
             on.be_only_master(f"drive by hand, node {node}", force=force)
-        node_id, name, od = node_on_bus(node, bench, on.bus, eds)
+        master, node_id, name, od = on.device(node, eds)
         there = axes(od.__contains__)
         if of_node > 1 and of_node not in there:
             known = ", ".join(map(str, there)) or "none"
@@ -152,7 +152,6 @@ def drive(
             )
         link = on.link()
         link.set_filters([(NMT, COB_ID)])  # nothing is received here: NMT commands are for the devices
-        master = on.known(node_id, name, od)[0]
         of_config = {} if bench is None else bench.units_of(node_id, of_node)
         of_drive, without = _units(master, node_id, od, {**of_config, **given}, name, of_node)
 

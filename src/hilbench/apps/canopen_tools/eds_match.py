@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,14 +65,9 @@ def eds_files(folder: Path, left_out: Callable[[UnusableInputError], None]) -> l
     return found
 
 
-def find_eds(
-    reader: SdoClient, node_id: int, folder: Path, left_out: Callable[[UnusableInputError], None]
-) -> Path | None:
-    """The file that fits a device which answers: that of its revision before any other; as `eds_files`."""
-    found = read_identity(reader, node_id)
-    fitting = [file for file in eds_files(folder, left_out) if file.fits(found)]
-    fitting.sort(key=lambda file: not file.is_of_revision(found[_REVISION]))
-    return fitting[0].path if fitting else None
+def fitting(files: Iterable[EdsFile], found: tuple[int | None, ...]) -> list[EdsFile]:
+    """The files that fit a device of this identity: those of its revision before any other."""
+    return sorted((f for f in files if f.fits(found)), key=lambda file: not file.is_of_revision(found[_REVISION]))
 
 
 def read_identity(reader: SdoClient, node_id: int) -> tuple[int | None, ...]:

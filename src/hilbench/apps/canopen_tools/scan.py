@@ -42,9 +42,7 @@ def scan(
 
     Example: hilbench scan --bus socketcan:can0 --lss
     """
-    from dataclasses import asdict
-
-    from hilbench.apps.canopen_tools.attach import MASTER_ID, BusSession, left_out
+    from hilbench.apps.canopen_tools.attach import BusSession, left_out
     from hilbench.apps.canopen_tools.bus_scan import scan as scan_bus
     from hilbench.apps.canopen_tools.eds_match import EdsFile, eds_files, identity
     from hilbench.apps.canopen_tools.interface import bitrate_of
@@ -57,20 +55,20 @@ def scan(
         if bench is not None:
             named = {part.node.eds: part.node.node_id for part in bench.parts}
             files = [EdsFile(path, identity(load_eds(path, node_id))) for path, node_id in named.items()] + files
-        link, reader = on.link(), on.reader(_SDO_TIMEOUT_S)
-        master_id, claimed_by = bench.master.node_id if bench else MASTER_ID, master_of(address)
+        link, reader = on.link(), on.master(_SDO_TIMEOUT_S)
+        claimed_by = master_of(address)
         known = None if claimed_by is None else str(claimed_by)
         rate = bitrate_of(address)
-        found = scan_bus(link, reader, files, listen, master_id, bitrate=rate, claimed_by=known, ask=ask)
-    nameless = unconfigured(address, _LSS_TIMEOUT_S) if lss and ask and not found.master_at_work else []
+        found = scan_bus(link, reader, files, listen, on.master_id, bitrate=rate, claimed_by=known, ask=ask)
+    nameless = unconfigured(address, _LSS_TIMEOUT_S) if lss and ask and found.master is None else []
     problems = _problems(found, bench) if bench is not None else []
     if json:
-        print_json(_as_data(found, bench, problems) | {"without_node_id": list(map(asdict, nameless))})
+        print_json(_as_data(found, bench, problems) | {"without_node_id": nameless})
     else:
         _show(found, bench, problems, str(address))
         for device in nameless:
             print(f"no node id: {words(device)}; hilbench lss assign NODE_ID --identity {address_of(device)}")
-        if lss and not nameless and not found.master_at_work:
+        if lss and not nameless and found.master is None:
             print("no device without a node id answers")
     raise typer.Exit(EXIT_CRITERION_FAILED if problems else EXIT_PASSED)
 
@@ -96,26 +94,17 @@ def _problems(found: Scan, bench: ExperimentConfig) -> list[str]:
 
 
 def _as_data(found: Scan, bench: ExperimentConfig | None, problems: list[str]) -> dict[str, Any]:
-    from dataclasses import asdict
-
     parts = _parts(bench)
     names = ("vendor_id", "product_code", "revision_number", "serial_number")
     stations = [
         {
-            **asdict(station),
+            **vars(station),
             "identity": dict(zip(names, station.identity, strict=True)),
-            "eds": None if station.eds is None else str(station.eds),
             "part": parts.get(station.node_id),
         }
         for station in found.stations
     ]
-    return {
-        "stations": stations,
-        "master_at_work": found.master_at_work,
-        "master": found.master,
-        "waited_s": found.waited_s,
-        "problems": problems,
-    }
+    return {**vars(found), "stations": stations, "master_at_work": found.master is not None, "problems": problems}
 
 
 def _show(found: Scan, bench: ExperimentConfig | None, problems: list[str], bus: str) -> None:
@@ -139,7 +128,7 @@ def _show(found: Scan, bench: ExperimentConfig | None, problems: list[str], bus:
     console.print(table(columns, rows, ("node",), title=f"{len(found.stations)} nodes on {bus}"))
     if found.waited_s:
         console.print(f"all node ids were asked, sixteen at a time; each had {found.waited_s:.2f} s to answer")
-    if found.master_at_work:
+    if found.master is not None:
         console.print(f"no node was asked: another master is active: {found.master}", soft_wrap=True, markup=False)
     for problem in problems:
         console.print(f"[red]error[/red] {problem}", soft_wrap=True)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,8 +29,9 @@ from hilbench.errors import BenchFaultError, UnusableInputError
 if TYPE_CHECKING:
     from canopen.objectdictionary import ODVariable
 
+    from canopen import ObjectDictionary
+    from hilbench.apps.canopen_tools.attach import BusSession
     from hilbench.canopen.master import Master
-    from hilbench.canopen.sdo_client import SdoClient
 
 ObjectArgument = Annotated[
     str, Argument(metavar="OBJECT", help="6041, 6041h, 0x1018sub1, 1018:1, or a name: target_velocity")
@@ -68,10 +68,16 @@ def read(
 
     Example: hilbench sdo read axis2 1018:1 --config bench_configs/web_section_step.yaml
     """
-    with _object(node, name, config, bus, eds, timeout, may_be_unknown=True) as found:
-        if isinstance(found, _UnknownObject):
-            _print_bytes(found, found.read(), as_json=json)
+    from hilbench.apps.canopen_tools.attach import BusSession
+
+    index = _index(name)
+    with BusSession(config, bus) as on:
+        device = on.device(node, eds, timeout, may_be_unknown=index is not None)
+        master, node_id, _, od = device
+        if index is not None and not master.has(node_id, *index):
+            _print_bytes(node_id, index, _bytes_of(master, node_id, index), known=bool(od), as_json=json)
         else:
+            found = _object(on, name, *device)
             _print(found, found.read(), as_json=json)
 
 
@@ -96,8 +102,12 @@ def write(
 
     A negative value follows "--": hilbench sdo write 1 target_torque -- -20
     """
-    with _object(node, name, config, bus, eds, timeout, writes=True, force=force) as found:
-        assert isinstance(found, _Object)
+    from hilbench.apps.canopen_tools.attach import BusSession
+
+    with BusSession(config, bus) as on:
+        if not on.is_the_bench(node):
+            on.be_only_master(f"sdo write to node {node}", force=force)
+        found = _object(on, name, *on.device(node, eds, timeout))
         found.write(found.parse(value))
         _print(found, found.read() if "r" in found.variable.access_type else None, as_json=json)
 
@@ -148,71 +158,31 @@ class _Object:
         return round(number / self.unit[0]) if whole else number / self.unit[0]
 
 
-@dataclass(frozen=True)
-class _UnknownObject:
-    """An object that is in no EDS file."""
+def _bytes_of(master: Master, node_id: int, key: tuple[int, int]) -> bytes:
+    """Content of an object that is in no EDS file. Raises BenchFaultError."""
+    from hilbench.canopen.sdo_client import Refusal, SdoAbortedError, SdoCommunicationError, no_answer
 
-    reader: SdoClient
-    node_id: int
-    index: int
-    sub: int
-    why: str
-
-    @property
-    def key(self) -> str:
-        return f"{self.index:04X}h:{self.sub}"
-
-    def read(self) -> bytes:
-        from hilbench.canopen.sdo_client import Refusal, SdoAbortedError, SdoCommunicationError, no_answer
-
-        try:
-            return self.reader.upload(self.node_id, self.index, self.sub)
-        except SdoAbortedError as error:
-            reason = str(Refusal(error.code))
-        except SdoCommunicationError as error:
-            reason = no_answer(error, self.reader.timeout_s)
-        raise BenchFaultError(f"node {self.node_id}, {self.key}: reading it: {reason}")
+    try:
+        return master.upload(node_id, *key)
+    except SdoAbortedError as error:
+        reason = str(Refusal(error.code))
+    except SdoCommunicationError as error:
+        reason = no_answer(error, master.timeout_s)
+    raise BenchFaultError(f"node {node_id}, {key[0]:04X}h:{key[1]}: reading it: {reason}")
 
 
-@contextmanager
-def _object(
-    node: str,
-    name: str,
-    config: Path | None,
-    bus: str | None,
-    eds: Path,
-    timeout_s: float,
-    *,
-    writes: bool = False,
-    force: bool = False,
-    may_be_unknown: bool = False,
-) -> Iterator[_Object | _UnknownObject]:
-    from hilbench.apps.canopen_tools.attach import BusSession, is_the_bench, node_and_eds
+def _object(on: BusSession, name: str, master: Master, node_id: int, node_name: str, od: ObjectDictionary) -> _Object:
     from hilbench.cia402.axis import axis_of
     from hilbench.cia402.configuration import read_units
     from hilbench.cia402.object_units import has_drive_unit, si_unit
 
-    with BusSession(config, bus) as on:
-        if writes and not is_the_bench(node, on.bench):
-            on.be_only_master(f"sdo write to node {node}", force=force)
-        index = _index(name) if may_be_unknown else None
-        if index is not None:
-            node_id, node_name, known = node_and_eds(node, on.bench, on.bus, eds)
-            why = "no EDS file" if known is None else "not in its EDS"
-            if known is None or not _has(known, *index):
-                yield _UnknownObject(on.reader(timeout_s), node_id, *index, why)
-                return
-            master, node_id, node_name, od = on.known(node_id, node_name, known, timeout_s)
-        else:
-            master, node_id, node_name, od = on.device(node, eds, timeout_s)
-        variable = _variable(od, name)
-        units = None
-        if has_drive_unit(variable.index):
-            with suppress(UnusableInputError):  # the value is shown without a unit
-                axis = axis_of(variable.index)
-                given = {} if on.bench is None else on.bench.units_of(node_id, axis)
-                units = read_units(master, node_id, od, given, node_name, axis)
-        yield _Object(master, node_id, node_name, variable, si_unit(variable.index, units))
+    variable, units = _variable(od, name), None
+    if has_drive_unit(variable.index):
+        with suppress(UnusableInputError):  # the value is shown without a unit
+            axis = axis_of(variable.index)
+            given = {} if on.bench is None else on.bench.units_of(node_id, axis)
+            units = read_units(master, node_id, od, given, node_name, axis)
+    return _Object(master, node_id, node_name, variable, si_unit(variable.index, units))
 
 
 def _index(name: str) -> tuple[int, int] | None:
@@ -221,15 +191,7 @@ def _index(name: str) -> tuple[int, int] | None:
     return None if match is None else (int(match[1], 16), int(match[2] or "0", 16))
 
 
-def _has(od: Any, index: int, sub: int) -> bool:
-    from hilbench.canopen import eds as eds_files
-
-    with suppress(KeyError):
-        return eds_files.variable(od, index, sub) is not None
-    return False
-
-
-def _variable(od: Any, name: str) -> ODVariable:
+def _variable(od: ObjectDictionary, name: str) -> ODVariable:
     from hilbench.canopen import eds as eds_files
 
     index = _index(name)
@@ -267,18 +229,19 @@ def _looks_like(data: bytes) -> dict[str, int | float | str]:
     return found
 
 
-def _print_bytes(found: _UnknownObject, data: bytes, *, as_json: bool) -> None:
-    like = _looks_like(data)
+def _print_bytes(node_id: int, at: tuple[int, int], data: bytes, *, known: bool, as_json: bool) -> None:
+    """Print an object that no EDS file tells of; `known`: there is one of the device."""
+    like, key, why = _looks_like(data), f"{at[0]:04X}h:{at[1]}", "not in its EDS" if known else "no EDS file"
     if as_json:
-        known = {"node": found.node_id, "object": found.key, "name": None, "value": data.hex()}
-        print_json(known | {"si": None, "si_unit": None, "looks_like": like}, ensure_ascii=False)
+        nothing = {"name": None, "value": data.hex(), "si": None, "si_unit": None}
+        print_json({"node": node_id, "object": key, **nothing, "looks_like": like}, ensure_ascii=False)
         return
     words = [
         f"{name} {value} ({value:X}h)" if name == "unsigned" else f"{name} {value}" for name, value in like.items()
     ]
     count = f"{len(data)} byte" if len(data) == 1 else f"{len(data)} bytes"
-    shown = f"{data.hex(' ')} ({count}, {found.why})" if data else f"empty ({found.why})"
-    print(f"node {found.node_id} {found.key}: " + "; as ".join([shown, *words]))
+    shown = f"{data.hex(' ')} ({count}, {why})" if data else f"empty ({why})"
+    print(f"node {node_id} {key}: " + "; as ".join([shown, *words]))
 
 
 def _print(found: _Object, value: Any, *, as_json: bool) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from math import isfinite
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from typer import Argument, Option
 
@@ -61,7 +61,12 @@ def key_and_number(option: str, text: str, expected: str) -> tuple[str, float]:
 
 
 def print_json(data: object, *, ensure_ascii: bool = True) -> None:
-    """Print data as JSON on standard output, indented; `ensure_ascii` is that of `json.dumps`."""
+    """Print data as JSON on standard output, indented: dataclasses by their fields, bytes as hexadecimal digits, paths
+    as texts; `ensure_ascii` is that of `json.dumps`."""
     from json import dumps
 
-    print(dumps(data, indent=2, ensure_ascii=ensure_ascii))
+    print(dumps(data, indent=2, ensure_ascii=ensure_ascii, default=_plain))
+
+
+def _plain(value: Any) -> Any:
+    return value.hex() if isinstance(value, bytes) else str(value) if isinstance(value, Path) else vars(value)

@@ -48,12 +48,10 @@ def export(
 
 
 def _exported(path: Path, *, drive: bool, load: bool) -> ExportedMachine:
-    from hilbench.apps.cli.model_option import config_from
+    from hilbench.apps.cli.model_option import any_model_from
     from hilbench.machine_kinds import machine_part
-    from hilbench.plant.model_file import load_machine
 
-    config = config_from(path)
-    machine = load_machine(path) if config is None else config.machine
+    machine = any_model_from(path)
     try:
         exported: ExportedMachine = machine_part(machine.kind, "fmu_export")(machine, drives=drive, load=load)
     except ValueError as error:

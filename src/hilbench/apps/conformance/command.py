@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict
+from contextlib import closing
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -57,12 +58,12 @@ def conformance(
 
     from hilbench.apps.canopen_tools.attach import BusSession
     from hilbench.apps.conformance.description import Description
-    from hilbench.apps.conformance.dut import Allowed, DeviceUnderTest, Patience
-    from hilbench.apps.conformance.examine import examine
+    from hilbench.apps.conformance.dut import DeviceUnderTest
+    from hilbench.apps.conformance.examine import AFTERWARDS, examine
     from hilbench.apps.conformance.listing import listed_cases
     from hilbench.apps.conformance.record import Examination
     from hilbench.apps.conformance.reports import write_junit
-    from hilbench.apps.conformance.wire import LinkWire
+    from hilbench.apps.conformance.wire import Wire
     from hilbench.processes import end_requests
 
     groups = list(dict.fromkeys(case.group for case in listed_cases()))
@@ -70,13 +71,22 @@ def conformance(
     if unknown:
         raise UnusableInputError("--only", f"'{unknown[0]}', expected one of {', '.join(groups)}")
     description = Description(eds, node)
-    display = _Display(Console(highlight=False), only or groups, quiet=json)
+    console, width = Console(highlight=False, quiet=json), max(map(len, [*(only or groups), AFTERWARDS.group]))
+    show_name = _show_name if sys.stderr.isatty() and not json else lambda _name: None
+    cases: list[CaseResult] = []
     with BusSession(None, bus) as on:
         on.be_only_master(f"conformance of node {node}", force=force)
-        wire = LinkWire(on.link(), on.enter_context(end_requests()))
-        allowed = Allowed(allow_motion, allow_store)
-        dut = DeviceUnderTest(wire, node, description, allowed, Patience(boot_s=boot))
-        cases = examine(dut, only or (), display.on_result)
+        wire = Wire(on.link(), on.enter_context(end_requests()))
+        dut = DeviceUnderTest(wire, node, description, motion=allow_motion, store=allow_store, boot_s=boot)
+        results = on.enter_context(closing(examine(dut, only or ())))
+        for _, members in groupby(results, key=lambda case: case.group):
+            ended = []
+            for case in members:
+                ended.append(case)
+                show_name(case.name)
+            show_name("")
+            _show_group(console, ended, width)
+            cases += ended
     name = description.od.device_information.product_name or eds.stem
     examination = Examination(name, node, str(on.bus), eds.name, cases)
     if junit is not None:
@@ -86,56 +96,35 @@ def conformance(
 
         write_conformance_page(examination, html)
     if json:
-        counts = {str(verdict): count for verdict, count in examination.counts.items()}
-        print_json({**vars(examination), "counts": counts, "cases": list(map(asdict, examination.cases))})
+        print_json({**vars(examination), "counts": examination.counts})
     else:
-        _sum_up(Console(highlight=False), examination, [path for path in (junit, html) if path is not None])
+        _sum_up(console, examination, [path for path in (junit, html) if path is not None])
     raise typer.Exit(EXIT_CRITERION_FAILED if examination.failed else EXIT_PASSED)
 
 
-class _Display:
+def _show_group(console: Console, cases: list[CaseResult], width: int) -> None:
     """A line a group as it ends, and below it what failed."""
+    from rich.markup import escape
 
-    def __init__(self, console: Console, groups: list[str], *, quiet: bool) -> None:
-        self._console = console
-        self._quiet = quiet
-        self._group: list[CaseResult] = []
-        self._width = max(len(group) for group in [*groups, "Afterwards"])
+    from hilbench.apps.conformance.reports import counted
 
-    def on_result(self, result: CaseResult) -> None:
-        """One more case has ended."""
-        if self._quiet:
-            return
-        if self._group and self._group[0].group != result.group:
-            self._print()
-        self._group.append(result)
-        if sys.stderr.isatty():
-            print(f"\r{result.name:<40}", end="", file=sys.stderr, flush=True)
-        if result.group == "Afterwards":
-            self._print()
+    failed = [case for case in cases if case.verdict == "failed"]
+    colour = "red" if failed else "green"
+    counts = counted(case.verdict for case in cases)
+    console.print(f"[{colour}]{cases[0].group:<{width}}[/]  {counts}", soft_wrap=True)
+    for case in failed:
+        console.print(f"  [red]{escape(case.name)}[/] {escape(case.title)} ({escape(case.clause)})", soft_wrap=True)
+        wrong = [step for step in case.steps if not step.ok]
+        for step in wrong[:_FAILED_STEPS_SHOWN]:
+            text = f"    {step.what}: expected {step.expected}, seen {step.seen}"
+            console.print(escape(text + (f", sent {step.sent}" if step.sent else "")), soft_wrap=True)
+        if len(wrong) > _FAILED_STEPS_SHOWN:
+            console.print(f"    and {len(wrong) - _FAILED_STEPS_SHOWN} more", soft_wrap=True)
 
-    def _print(self) -> None:
-        from rich.markup import escape
 
-        from hilbench.apps.conformance.reports import counted
-
-        if sys.stderr.isatty():
-            print(f"\r{'':<40}\r", end="", file=sys.stderr, flush=True)
-        cases, self._group = self._group, []
-        failed = [case for case in cases if case.verdict == "failed"]
-        colour = "red" if failed else "green"
-        counts = counted(case.verdict for case in cases)
-        self._console.print(f"[{colour}]{cases[0].group:<{self._width}}[/]  {counts}", soft_wrap=True)
-        for case in failed:
-            self._console.print(
-                f"  [red]{escape(case.name)}[/] {escape(case.title)} ({escape(case.clause)})", soft_wrap=True
-            )
-            wrong = [step for step in case.steps if not step.ok]
-            for step in wrong[:_FAILED_STEPS_SHOWN]:
-                text = f"    {step.what}: expected {step.expected}, seen {step.seen}"
-                self._console.print(escape(text + (f", sent {step.sent}" if step.sent else "")), soft_wrap=True)
-            if len(wrong) > _FAILED_STEPS_SHOWN:
-                self._console.print(f"    and {len(wrong) - _FAILED_STEPS_SHOWN} more", soft_wrap=True)
+def _show_name(name: str) -> None:
+    """Say on a terminal which case has ended, until the next word."""
+    print(f"\r{name:<40}" + ("" if name else "\r"), end="", file=sys.stderr, flush=True)
 
 
 def _sum_up(console: Console, examination: Examination, written: list[Path]) -> None:

@@ -6,7 +6,7 @@ then; what 6502h promises, with motions of a turn at most.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from math import pi
 from typing import Final
 
@@ -15,6 +15,7 @@ from hilbench.apps.conformance.dut import DeviceUnderTest, taken_text
 from hilbench.apps.conformance.power import (
     QUICK_RAMP_S,
     SLOW_RAMP_S,
+    STATE_S,
     actual_velocity,
     bring,
     command,
@@ -61,11 +62,11 @@ _CIA_402, _TYPE_OF_AXIS = 402, 0x67FF
 #: Quick stop option codes by which a drive stays in QUICK STOP ACTIVE.
 _STAYS: Final = tuple(code for code, (_, stays) in QUICK_STOP_OPTIONS.items() if stays)
 _NAMES: Final = {each: each.name.replace("_", " ").lower() for each in Command}
-_HALT: Final = Command.ENABLE_OPERATION.value | CONTROLWORD_HALT
+_ENABLED: Final = Command.ENABLE_OPERATION.value
+_HALT: Final = _ENABLED | CONTROLWORD_HALT
 #: How far the time of a ramp may be off: inertia and the drive's own smoothing are the machine's.
 _LONGEST, _SHORTEST = 1.8, 0.45
 _ASKED_S: Final = 0.1  #: a value is read when its answer comes
-_ENABLED: Final = Command.ENABLE_OPERATION.value
 _START: Final = 1 << 4  #: controlword: new set-point, or homing begins
 _PRESENT_POSITION: Final = (37, 35)
 _SHOWN_S: Final = 1.0
@@ -74,34 +75,34 @@ _MOTION_S: Final = 10.0
 _STEEP_RAMP_S: Final = 0.01  #: from rest to 60 rpm: shorter than a position loop of 40 1/s settles
 
 
-def _destinations(before: State, asked: Command) -> Sequence[State]:
-    """Destination states of a command; "enable operation" in READY TO SWITCH ON may lead further by itself."""
-    if (before, asked) == (State.READY_TO_SWITCH_ON, Command.ENABLE_OPERATION):
-        return State.OPERATION_ENABLED, State.SWITCHED_ON
-    transition = commanded(before, asked.value, 0)
-    return (before,) if transition is None else (DESTINATION[transition],)
+#: Where a drive may choose: it goes further by itself, 605Ah decides, transition 16 is optional.
+_MAY: Final = {
+    (State.READY_TO_SWITCH_ON, Command.ENABLE_OPERATION): (State.OPERATION_ENABLED, State.SWITCHED_ON),
+    (State.OPERATION_ENABLED, Command.QUICK_STOP): (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED),
+    (State.QUICK_STOP_ACTIVE, Command.ENABLE_OPERATION): (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE),
+}
 
 
 def every_command(dut: DeviceUnderTest, before: State) -> None:
     """Each from this state; without permission those that take no power."""
     for asked in Command:
-        if asked not in _HARMLESS and not dut.allowed.motion:
+        if asked not in _HARMLESS and not dut.motion:
             dut.notes.append(f"'{_NAMES[asked]}' was not sent: --allow-motion")
             continue
         bring(dut, before)
-        _expect(dut, before, asked, _destinations(before, asked))
+        _expect(dut, before, asked)
     switch_off(dut)
 
 
-def _expect(dut: DeviceUnderTest, before: State, asked: Command, wanted: Sequence[State]) -> None:
+def _expect(dut: DeviceUnderTest, before: State, asked: Command) -> None:
     what = f"'{_NAMES[asked]}' ({asked.value:04X}h) in {before.label}"
     command(dut, asked.value)
-    if before is State.OPERATION_ENABLED and asked is Command.QUICK_STOP:
-        wanted = (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)  # by 605Ah
-    if tuple(wanted) == (before,):
+    transition = commanded(before, asked.value, 0)
+    wanted = _MAY.get((before, asked), () if transition is None else (DESTINATION[transition],))
+    if not wanted:
         expect_stays(dut, what, before)
     else:
-        expect_state(dut, what, *wanted)
+        expect_state(dut, what, *wanted, duration_s=0.5 if before in wanted else STATE_S)
 
 
 def _quick_stop_active(dut: DeviceUnderTest) -> None:
@@ -113,13 +114,8 @@ def _quick_stop_active(dut: DeviceUnderTest) -> None:
 def _needs_staying(dut: DeviceUnderTest) -> None:
     """605Ah so that the drive stays in QUICK STOP ACTIVE."""
     dut.needs_to_write((objects.QUICK_STOP_OPTION_CODE, 0))
-    for code in _STAYS:
-        if (
-            dut.try_to_write(objects.QUICK_STOP_OPTION_CODE, 0, dut.data_of(objects.QUICK_STOP_OPTION_CODE, 0, code))
-            == b""
-        ):
-            return
-    raise NotApplicableError("605Ah takes none of 5 to 8: the drive never stays in QUICK STOP ACTIVE")
+    if not any(dut.offer(objects.QUICK_STOP_OPTION_CODE, code) == b"" for code in _STAYS):
+        raise NotApplicableError("605Ah takes none of 5 to 8: the drive never stays in QUICK STOP ACTIVE")
 
 
 def in_quick_stop_active(dut: DeviceUnderTest) -> None:
@@ -127,16 +123,9 @@ def in_quick_stop_active(dut: DeviceUnderTest) -> None:
     _needs_staying(dut)
     for asked in Command:
         _quick_stop_active(dut)
-        what = f"'{_NAMES[asked]}' ({asked.value:04X}h) in QUICK STOP ACTIVE"
-        command(dut, asked.value)
-        if asked is Command.DISABLE_VOLTAGE:
-            expect_state(dut, what, State.SWITCH_ON_DISABLED)
-        elif asked is Command.ENABLE_OPERATION:
-            expect_state(dut, what, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, duration_s=0.5)
-            if state(dut) is State.QUICK_STOP_ACTIVE:
-                dut.notes.append("the drive has no transition 16 (optional)")
-        else:
-            expect_stays(dut, what, State.QUICK_STOP_ACTIVE)
+        _expect(dut, State.QUICK_STOP_ACTIVE, asked)
+        if asked is Command.ENABLE_OPERATION and state(dut) is State.QUICK_STOP_ACTIVE:
+            dut.notes.append("the drive has no transition 16 (optional)")
     switch_off(dut)
 
 
@@ -145,8 +134,7 @@ def in_fault(dut: DeviceUnderTest) -> None:
     bring(dut, State.OPERATION_ENABLED)
     fail(dut)
     for asked in Command:
-        command(dut, asked.value)
-        expect_stays(dut, f"'{_NAMES[asked]}' ({asked.value:04X}h) in FAULT", State.FAULT)
+        _expect(dut, State.FAULT, asked)
     command(dut, Command.DISABLE_VOLTAGE.value)
     command(dut, CONTROLWORD_FAULT_RESET)
     expect_state(dut, "rising edge of bit 7", State.SWITCH_ON_DISABLED)
@@ -159,7 +147,7 @@ def statusword_bits(dut: DeviceUnderTest) -> None:
     _bits(dut, State.SWITCH_ON_DISABLED)
     bring(dut, State.READY_TO_SWITCH_ON)
     _bits(dut, State.READY_TO_SWITCH_ON)
-    if not dut.allowed.motion:
+    if not dut.motion:
         dut.notes.append("SWITCHED ON, OPERATION ENABLED and QUICK STOP ACTIVE were not looked at: --allow-motion")
         switch_off(dut)
         return
@@ -210,7 +198,7 @@ def _codes(dut: DeviceUnderTest, index: int, codes: range) -> Iterator[tuple[int
     at = speed(dut)
     taken = 0
     for code in codes:
-        answer = dut.try_to_write(index, 0, dut.data_of(index, 0, code))
+        answer = dut.offer(index, code)
         if answer != b"":
             dut.notes.append(f"{index:04X}h = {code} is not taken ({taken_text(answer)})")
             continue
@@ -266,7 +254,7 @@ def halt(dut: DeviceUnderTest) -> None:
         command(dut, _HALT)
         _ramp(dut, what, velocity, _RAMPS.get(code))
         expect_state(dut, what, State.OPERATION_ENABLED)
-        command(dut, Command.ENABLE_OPERATION.value)
+        command(dut, _ENABLED)
         went_on = wait(dut, lambda velocity=velocity: abs(actual_velocity(dut)) >= 0.8 * velocity, 5.0 * SLOW_RAMP_S)  # type: ignore[misc]
         dut.check(
             f"{what}: halt taken back", f"{velocity} again (606Ch)", str(actual_velocity(dut)), went_on is not None
@@ -311,7 +299,7 @@ def other_mode(dut: DeviceUnderTest) -> None:
     before = dut.value(objects.MODES_OF_OPERATION_DISPLAY)
     absent = [mode for mode in OperationMode if mode and mode not in there]
     for mode in [int(mode) for mode in absent] or [99]:
-        answer = dut.try_to_write(objects.MODES_OF_OPERATION, 0, bytes((mode,)))
+        answer = dut.offer(objects.MODES_OF_OPERATION, mode)
         dut.wait(0.1)
         shown = dut.value(objects.MODES_OF_OPERATION_DISPLAY)
         ok = answer != b"" or shown != mode
@@ -328,9 +316,7 @@ def status_bit(dut: DeviceUnderTest, what: str, bit: int, set_: bool = True, dur
 
 def profile_position(dut: DeviceUnderTest) -> None:
     """A quarter of a turn, and back; then halted."""
-    at = speed(dut)
-    write(dut, {(objects.PROFILE_VELOCITY, 0): at.velocity})
-    turn_units = round(2.0 * pi / at.units.position_rad)
+    velocity, turn_units = _motion(dut)
     enable(dut, OperationMode.PROFILE_POSITION)
     begin = dut.signed(objects.POSITION_ACTUAL_VALUE)
     for target in (begin + turn_units // 4, begin):
@@ -340,14 +326,27 @@ def profile_position(dut: DeviceUnderTest) -> None:
         near = abs(found - target) <= max(2, turn_units // 100)
         dut.check(f"position after set-point {target}", f"{target} to 1 % of a turn", str(found), near)
     _set_point(dut, begin + turn_units)
-    wait(dut, lambda: abs(actual_velocity(dut)) > 0.5 * at.velocity, SLOW_RAMP_S)
-    _halt(dut, at.velocity)
+    wait(dut, lambda: abs(actual_velocity(dut)) > 0.5 * velocity, SLOW_RAMP_S)
+    _halt(dut, velocity)
     status_bit(dut, "halt: target reached at standstill", STATUS_TARGET_REACHED)
     switch_off(dut)
 
 
+def _motion(dut: DeviceUnderTest) -> tuple[int, int]:
+    """Speed of a motion to a position, which is set, and position units of a turn."""
+    at = speed(dut)
+    write(dut, {(objects.PROFILE_VELOCITY, 0): at.velocity})
+    return at.velocity, round(2.0 * pi / at.units.position_rad)
+
+
+def _begin(dut: DeviceUnderTest) -> None:
+    """Rising edge of bit 4: a new set-point, or homing begins."""
+    command(dut, _ENABLED)
+    command(dut, _ENABLED | _START)
+
+
 def _halt(dut: DeviceUnderTest, velocity: int) -> None:
-    command(dut, _ENABLED | CONTROLWORD_HALT)
+    command(dut, _HALT)
     stood = time_to_rest(dut, velocity) is not None
     dut.check("halt", "at rest", "at rest" if stood else "turns", stood)
 
@@ -355,8 +354,7 @@ def _halt(dut: DeviceUnderTest, velocity: int) -> None:
 def _set_point(dut: DeviceUnderTest, target: int) -> None:
     """The handshake: bit 4, acknowledged by bit 12, and both taken back."""
     dut.write(objects.TARGET_POSITION, 0, target)
-    command(dut, _ENABLED)
-    command(dut, _ENABLED | _START)
+    _begin(dut)
     dut.must(status_bit(dut, f"new set-point {target}: acknowledged", STATUS_MODE_12))
     command(dut, _ENABLED)
     status_bit(dut, "bit 4 taken back: acknowledgement too", STATUS_MODE_12, set_=False, duration_s=_MOTION_S)
@@ -380,12 +378,11 @@ def profile_velocity(dut: DeviceUnderTest) -> None:
 def homing(dut: DeviceUnderTest) -> None:
     """Methods 37 and 35 move nothing: the present position becomes the home offset."""
     index = objects.HOMING_METHOD
-    method = next((m for m in _PRESENT_POSITION if dut.try_to_write(index, 0, bytes((m,))) == b""), None)
+    method = next((m for m in _PRESENT_POSITION if dut.offer(index, m) == b""), None)
     if method is None:
         raise NotApplicableError("6098h takes neither 37 nor 35")
     enable(dut, OperationMode.HOMING)
-    command(dut, _ENABLED)
-    command(dut, _ENABLED | _START)
+    _begin(dut)
     status_bit(dut, f"method {method}: homing attained", STATUS_MODE_12)
     status_bit(dut, f"method {method}: target reached", STATUS_TARGET_REACHED)
     status_bit(dut, f"method {method}: no homing error", STATUS_MODE_13, set_=False)
@@ -402,21 +399,16 @@ def homing(dut: DeviceUnderTest) -> None:
 def software_limits(dut: DeviceUnderTest) -> None:
     """A set-point beyond 607Dh is refused, or the drive stays within."""
     limit = objects.SOFTWARE_POSITION_LIMIT
-    at = speed(dut)
-    write(dut, {(objects.PROFILE_VELOCITY, 0): at.velocity})
-    turn_units = round(2.0 * pi / at.units.position_rad)
+    _, turn_units = _motion(dut)
     begin = dut.signed(objects.POSITION_ACTUAL_VALUE)
     dut.write(limit, 1, begin - turn_units // 4)
     dut.write(limit, 2, begin + turn_units // 4)
     enable(dut, OperationMode.PROFILE_POSITION)
-    answer = dut.try_to_write(
-        objects.TARGET_POSITION, 0, dut.data_of(objects.TARGET_POSITION, 0, begin + turn_units // 2)
-    )
+    answer = dut.offer(objects.TARGET_POSITION, begin + turn_units // 2)
     if answer != b"":
         dut.check("set-point beyond 607Dh:2", "refused, or not reached", taken_text(answer), answer is not None)
     else:
-        command(dut, _ENABLED)
-        command(dut, _ENABLED | _START)
+        _begin(dut)
         dut.wait(2.0)
         found = dut.signed(objects.POSITION_ACTUAL_VALUE)
         furthest = begin + turn_units // 4 + turn_units // 100 + 2
@@ -435,7 +427,7 @@ def velocity_limits(dut: DeviceUnderTest) -> None:
         limit = at.velocity // 2
         dut.write(index, 0, limit if index == objects.MAX_PROFILE_VELOCITY else 30)
         enable(dut, OperationMode.PROFILE_VELOCITY)
-        answer = dut.try_to_write(objects.TARGET_VELOCITY, 0, dut.data_of(objects.TARGET_VELOCITY, 0, at.velocity))
+        answer = dut.offer(objects.TARGET_VELOCITY, at.velocity)
         dut.wait(2.0 * SLOW_RAMP_S)
         found = abs(actual_velocity(dut))
         most = round(_TOLERATED * limit) + 1
@@ -447,17 +439,14 @@ def velocity_limits(dut: DeviceUnderTest) -> None:
 
 def following_error(dut: DeviceUnderTest) -> None:
     """A window of one unit is left as soon as it turns: at a ramp that no loop follows within that."""
-    at = speed(dut)
-    write(dut, {(objects.PROFILE_VELOCITY, 0): at.velocity})
-    steep = round(at.velocity / _STEEP_RAMP_S)
+    velocity, turn_units = _motion(dut)
+    steep = round(velocity / _STEEP_RAMP_S)
     write(dut, {(objects.PROFILE_ACCELERATION, 0): steep, (objects.FOLLOWING_ERROR_TIME_OUT, 0): 0})
-    turn_units = round(2.0 * pi / at.units.position_rad)
     begin = dut.signed(objects.POSITION_ACTUAL_VALUE)
     enable(dut, OperationMode.PROFILE_POSITION)
     dut.write(objects.FOLLOWING_ERROR_WINDOW, 0, 1)
     dut.write(objects.TARGET_POSITION, 0, begin + turn_units)
-    command(dut, _ENABLED)
-    command(dut, _ENABLED | _START)
+    _begin(dut)
     expect_state(dut, "6065h = 1, a motion of a turn", State.FAULT)
     if dut.eds.has(objects.ERROR_CODE):
         dut.reads("error code 603Fh", objects.ERROR_CODE, 0, 0x8611)

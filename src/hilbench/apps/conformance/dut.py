@@ -6,14 +6,13 @@ An expectation is written as the frame's data in hexadecimal digits with `?` for
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 from hilbench.apps.conformance.actions import Key
 from hilbench.apps.conformance.description import Description, Pdo
 from hilbench.apps.conformance.record import CaseEndedError, NotAllowedError, NotApplicableError, Step
-from hilbench.apps.conformance.wire import ReceivedFrame, Wire
-from hilbench.can.frame import REMOTE_FLAG
+from hilbench.apps.conformance.wire import Wire
+from hilbench.can.frame import REMOTE_FLAG, Frame
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.identifiers import (
     COB_ID,
@@ -35,6 +34,7 @@ from hilbench.canopen.sdo_client import Answer, Refusal, SdoAbortedError, SdoCom
 _HEARTBEAT_MS: Final = 100
 _HEARTBEAT_S: Final = 0.35
 _AFTER_BOOT_S: Final = 0.05
+_ANSWER_S: Final = 1.0
 _EMPTY: Final = "nothing"
 _SDO_BYTES: Final = 8
 #: Command specifiers of requests that name an object, and whose answers do: download and upload.
@@ -42,24 +42,11 @@ _NAMES_OBJECT: Final = (1, 2)
 _SYNC_PAUSE_S: Final = 0.02
 
 
-@dataclass(frozen=True)
-class Allowed:
-    """Permissions of an examination beyond communication."""
-
-    motion: bool = False
-    store: bool = False
-
-
-@dataclass(frozen=True)
-class Patience:
-    """Timeouts, s: for an SDO answer, and from a reset to the boot-up message."""
-
-    answer_s: float = 1.0
-    boot_s: float = 10.0
-
-
 class DeviceUnderTest:
-    """A node on a wire. Expectations are recorded in `steps`; those that must hold to go on end the case."""
+    """A node on a wire. Expectations are recorded in `steps`; those that must hold to go on end the case.
+
+    `motion`, `store`: permissions beyond communication; `boot_s`: longest time from a reset to the boot-up message.
+    """
 
     #: PDO of the present case, once it has chosen one (`process_data.transmit_pdo`, `receive_pdo`).
     pdo: Pdo
@@ -69,14 +56,16 @@ class DeviceUnderTest:
         wire: Wire,
         node_id: int,
         description: Description,
-        allowed: Allowed = Allowed(),
-        patience: Patience = Patience(),
+        *,
+        motion: bool = False,
+        store: bool = False,
+        boot_s: float = 10.0,
     ) -> None:
         self.wire = wire
         self.node_id = node_id
         self.eds = description
-        self.allowed = allowed
-        self.patience = patience
+        self.motion, self.store = motion, store
+        self._boot_s = boot_s
         self.steps: list[Step] = []
         self.notes: list[str] = []
         #: Objects that were written, and whether all may be others since a reset.
@@ -85,18 +74,18 @@ class DeviceUnderTest:
         #: Values of before, of a case that compares them with those of later.
         self.remembered: dict[tuple[int, int], int] = {}
         self._sent: list[str] = []
-        self._received: list[ReceivedFrame] = []
+        self._received: list[Frame] = []
 
     # -- what a case needs -----------------------------------------------------------------------------------
 
     def needs_motion(self, why: str) -> None:
         """Raises NotAllowedError when nothing may move."""
-        if not self.allowed.motion:
+        if not self.motion:
             raise NotAllowedError(f"{why}: --allow-motion")
 
     def needs_store(self) -> None:
         """Raises NotAllowedError when nothing may be stored."""
-        if not self.allowed.store:
+        if not self.store:
             raise NotAllowedError("writes the device's memory (1010h, 1011h): --allow-store")
 
     def needs(self, *keys: Key) -> None:
@@ -131,19 +120,19 @@ class DeviceUnderTest:
         self._sent.append(f"{can_id & COB_ID:03X}{remote} {data.hex(' ')}".strip())
         self.wire.send(can_id, data)
 
-    def receive(self, duration_s: float) -> list[ReceivedFrame]:
+    def receive(self, duration_s: float) -> list[Frame]:
         """Frames since the last call, and in this time; answers to SDO requests left out."""
         found = [*self._received, *self.wire.listen(duration_s)]
         self._received = []
         return [received for received in found if received.can_id != SDO_ANSWER + self.node_id]
 
-    def receive_until(self, can_id: int, then_s: float) -> list[ReceivedFrame]:
+    def receive_until(self, can_id: int, then_s: float) -> list[Frame]:
         """Frames up to one that is awaited as long as an answer, and for a time behind it."""
         if not any(received.can_id == can_id for received in self._received):
-            self._received += self.wire.listen(self.patience.answer_s, lambda received: received.can_id == can_id)
+            self._received += self.wire.listen(_ANSWER_S, lambda received: received.can_id == can_id)
         return self.receive(then_s)
 
-    def receive_id(self, can_id: int, duration_s: float) -> list[ReceivedFrame]:
+    def receive_id(self, can_id: int, duration_s: float) -> list[Frame]:
         """Frames of one identifier since the last call, and in this time."""
         return [received for received in self.receive(duration_s) if received.can_id == can_id]
 
@@ -160,10 +149,14 @@ class DeviceUnderTest:
         self.send(NMT, bytes((command, self.node_id if node_id is None else node_id)))
         self.receive(_SYNC_PAUSE_S)
 
-    def sync(self, data: bytes = b"") -> list[ReceivedFrame]:
+    def sync(self, data: bytes = b"") -> list[Frame]:
         """A SYNC, and what it brings."""
         self.send(self.sync_id, data)
         return self.receive(_SYNC_PAUSE_S)
+
+    def sync_brings(self, can_id: int, data: bytes = b"") -> bool:
+        """True if a SYNC brings a frame of an identifier."""
+        return any(received.can_id == can_id for received in self.sync(data))
 
     @property
     def sync_id(self) -> int:
@@ -190,7 +183,7 @@ class DeviceUnderTest:
         if not ok:
             raise CaseEndedError
 
-    def frames(self, what: str, found: Sequence[ReceivedFrame], can_id: int, *expected: str) -> bool:
+    def frames(self, what: str, found: Sequence[Frame], can_id: int, *expected: str) -> bool:
         """Expect exactly these data, in this order, of an identifier."""
         seen = [received.data.hex() for received in found if received.can_id == can_id]
         ok = len(seen) == len(expected) and all(map(matches, expected, seen))
@@ -204,11 +197,11 @@ class DeviceUnderTest:
         names_object = request[0] >> 5 in _NAMES_OBJECT and len(request) == _SDO_BYTES
         self._received += [received for received in self.wire.listen(0.0) if received.can_id != answer_id]
 
-        def answers(received: ReceivedFrame) -> bool:
+        def answers(received: Frame) -> bool:
             return received.can_id == answer_id and (not names_object or received.data[1:4] == request[1:4])
 
         self.send(SDO_REQUEST + self.node_id, request)
-        found = self.wire.listen(self.patience.answer_s, answers)
+        found = self.wire.listen(_ANSWER_S, answers)
         self._received += [received for received in found if received.can_id != answer_id]
         replies = [received for received in found if received.can_id == answer_id]
         return replies[-1].data if replies else None
@@ -232,7 +225,7 @@ class DeviceUnderTest:
         answer_id = SDO_ANSWER + self.node_id
         found: list[bytes] = []
         while len(found) < count:
-            received = self.wire.listen(self.patience.answer_s, lambda received: received.can_id == answer_id)
+            received = self.wire.listen(_ANSWER_S, lambda received: received.can_id == answer_id)
             answers = [each.data for each in received if each.can_id == answer_id]
             self._received += [each for each in received if each.can_id != answer_id]
             if not answers:
@@ -277,25 +270,18 @@ class DeviceUnderTest:
     def reads(self, what: str, index: int, sub: int, expected: int) -> bool:
         """Expect a number (unsigned) in an object."""
         answer = self.peek(index, sub)
-        found = int.from_bytes(answer, "little") if isinstance(answer, bytes) else None
         self._sent.append(f"read {self.name(index, sub)}")
-        return self.check(what, f"{expected:X}h", answer_text(answer), found == expected)
-
-    def reads_bits(self, what: str, index: int, sub: int, expected: int) -> bool:
-        """Expect that these bits are set in an object."""
-        answer = self.peek(index, sub)
-        found = int.from_bytes(answer, "little") if isinstance(answer, bytes) else None
-        ok = found is not None and found & expected == expected
-        return self.check(what, f"bits {expected:X}h", answer_text(answer), ok)
-
-    def request_to_write(self, index: int, sub: int, data: bytes) -> bytes:
-        """The request that writes up to four bytes at once."""
-        return multiplexed(0x23 | (4 - len(data)) << 2, self.eds.own(index), sub, data)
+        ok = isinstance(answer, bytes) and int.from_bytes(answer, "little") == expected
+        return self.check(what, f"{expected:X}h", answer_text(answer), ok)
 
     def try_to_write(self, index: int, sub: int, data: bytes) -> Answer:
         """Write, without an expectation: b"" when it was taken."""
         self.touched.add((self.eds.own(index), sub))
         return self._transferred(lambda client: client.download(self.eds.own(index), sub, data))
+
+    def offer(self, index: int, value: int) -> Answer:
+        """Write a number, without an expectation: b"" when it was taken."""
+        return self.try_to_write(index, 0, self.data_of(index, 0, value))
 
     def data_of(self, index: int, sub: int, value: int) -> bytes:
         """SDO data of a number, in the length of the EDS file."""
@@ -308,15 +294,19 @@ class DeviceUnderTest:
 
     def takes(self, what: str, index: int, sub: int, value: int) -> bool:
         """Expect that a number is taken."""
-        self.touched.add((self.eds.own(index), sub))
-        answer = self.exchange(self.request_to_write(index, sub, self.data_of(index, sub, value))) or b""
-        return self._expect_answer(what, answer, [f"60{_mux(self.eds.own(index), sub)}????????"])
+        expected = f"60{_mux(self.eds.own(index), sub)}????????"
+        return self._expect_write(what, index, sub, self.data_of(index, sub, value), [expected])
 
     def refuses(self, what: str, index: int, sub: int, data: bytes, *codes: int) -> bool:
         """Expect that data are refused with one of these abort codes."""
-        self.touched.add((self.eds.own(index), sub))
-        answer = self.exchange(self.request_to_write(index, sub, data)) or b""
-        return self._expect_answer(what, answer, [aborted(self.eds.own(index), sub, code) for code in codes])
+        return self._expect_write(what, index, sub, data, [aborted(self.eds.own(index), sub, code) for code in codes])
+
+    def _expect_write(self, what: str, index: int, sub: int, data: bytes, expected: Collection[str]) -> bool:
+        """Expect one of these answers to the request that writes up to four bytes at once."""
+        own = self.eds.own(index)
+        self.touched.add((own, sub))
+        answer = self.exchange(multiplexed(0x23 | (4 - len(data)) << 2, own, sub, data)) or b""
+        return self._expect_answer(what, answer, expected)
 
     def configure(self, index: int, sub: int, value: int, what: str) -> None:
         """Write what not every device has to take. Raises NotApplicableError when it refuses."""
@@ -338,10 +328,10 @@ class DeviceUnderTest:
         # A heartbeat may be under way when the command comes.
         before = {state.heartbeat for state in NmtState if state is not NmtState.INITIALISING}
 
-        def boots(received: ReceivedFrame) -> bool:
+        def boots(received: Frame) -> bool:
             return received.can_id == can_id and received.data not in before
 
-        found = self.wire.listen(self.patience.boot_s, boots)
+        found = self.wire.listen(self._boot_s, boots)
         self.must(self.frames("boot-up message", list(filter(boots, found)) or found, can_id, "00"))
         self.wire.listen(_AFTER_BOOT_S)
 
@@ -364,12 +354,6 @@ class DeviceUnderTest:
         known |= {self.value(*entry.key) >> 16 & NODE_ID for entry in self.eds.entries(0x1016, 0x1016) if entry.sub}
         return [node for node in range(LAST_NODE, 0, -1) if node not in known]
 
-    def first(self, of: Collection[int], what: str) -> int:
-        """The lowest of some numbers. Raises NotApplicableError when there is none."""
-        if not of:
-            raise NotApplicableError(f"{what} is not in the EDS file")
-        return min(of)
-
 
 def matches(pattern: str, seen: str) -> bool:
     """True if hexadecimal digits match the expected ones."""
@@ -391,11 +375,6 @@ def multiplexed(head: int, index: int, sub: int, data: bytes = b"") -> bytes:
 def aborted(index: int, sub: int, code: int) -> str:
     """The abort of a transfer."""
     return f"80{_mux(index, sub)}{code.to_bytes(4, 'little').hex()}"
-
-
-def answers(values: Sequence[ReceivedFrame], can_id: int, test: Callable[[bytes], bool]) -> bool:
-    """True if some frame of an identifier passes a test."""
-    return any(received.can_id == can_id and test(received.data) for received in values)
 
 
 def _mux(index: int, sub: int) -> str:

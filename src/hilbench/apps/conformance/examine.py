@@ -8,14 +8,16 @@ parameters, valid). Outputs and commands (process data) are no parameters: a dri
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Generator, Iterator
 from dataclasses import replace
 from typing import Final
 
 from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text
-from hilbench.apps.conformance.listing import Case, listed_cases
-from hilbench.apps.conformance.process_data import RPDO, TPDO, at_rest, shown_state
+from hilbench.apps.conformance.listing import ListedCase, listed_cases
+from hilbench.apps.conformance.power import at_rest, shown_state
+from hilbench.apps.conformance.process_data import RPDO, TPDO
 from hilbench.apps.conformance.record import (
+    Case,
     CaseEndedError,
     CaseResult,
     NotAllowedError,
@@ -36,8 +38,6 @@ _SYNC_PERIOD, _SYNC_COUNTER = (0x1006, 0), (0x1019, 0)
 _PDO_PARAMETERS: Final = (2, 3, 5, 6)
 
 Values = dict[tuple[int, int], bytes]
-CASES: Final[Mapping[str, Callable[[DeviceUnderTest], object]]] = {case.name: case.examine for case in listed_cases()}
-OF_DRIVES: Final = [case.name for case in listed_cases() if case.of_drives]
 AFTERWARDS: Final = Case("Afterwards", 1, "Every parameter is what it was before", "no case of a standard")
 
 
@@ -106,55 +106,41 @@ def _restore_pdo(dut: DeviceUnderTest, index: int, values: Values) -> None:
     dut.try_to_write(index, 1, cob_id)
 
 
-def examine(
-    dut: DeviceUnderTest, groups: Collection[str] = (), on_result: Callable[[CaseResult], None] = lambda _result: None
-) -> list[CaseResult]:
-    """Run every case, or those of some groups; `on_result` is called with each as it ends.
+def examine(dut: DeviceUnderTest, groups: Collection[str] = ()) -> Generator[CaseResult]:
+    """Run every case, or those of some groups, one after the other. What comes after the last one is done as well when
+    the iterator is closed before.
 
     Raises BenchFaultError when the device does not answer at the beginning, or is lost between two cases;
     UnusableInputError for a drive with power.
     """
     _check_ready(dut)
     try:
-        return _examine_all(dut, groups, on_result)
+        before = snapshot(dut)
+        power_on = _at_power_on(dut, before) if dut.store else None
+        lost: list[Step] = []
+        try:
+            for case in listed_cases():
+                if groups and case.group not in groups:
+                    continue
+                for result in _of_each_axis(dut, case):
+                    lost += restore(dut, before, f"after {result.name}")
+                    if result.verdict is Verdict.FAILED:
+                        _check_answers(dut)
+                    yield result
+        finally:
+            lost += _leave(dut, before, power_on)
+        yield _afterwards(lost, len(before))
     except CaseEndedError as error:
         last = dut.steps[-1]
         text = f"{last.what}: expected {last.expected}, seen {last.seen}"
         raise BenchFaultError(f"node {dut.node_id} can't be examined: {text}") from error
 
 
-def _examine_all(
-    dut: DeviceUnderTest, groups: Collection[str], on_result: Callable[[CaseResult], None]
-) -> list[CaseResult]:
-    before = snapshot(dut)
-    power_on = _at_power_on(dut, before) if dut.allowed.store else None
-    results: list[CaseResult] = []
-    lost: list[Step] = []
-    try:
-        for case in listed_cases():
-            if groups and case.group not in groups:
-                continue
-            for result in _of_each_axis(dut, case):
-                lost += restore(dut, before, f"after {result.name}")
-                if result.verdict is Verdict.FAILED:
-                    _check_answers(dut)
-                results.append(result)
-                on_result(result)
-    finally:
-        lost += _leave(dut, before, power_on)
-    results.append(_afterwards(lost, len(before)))
-    on_result(results[-1])
-    return results
-
-
-def _of_each_axis(dut: DeviceUnderTest, case: Case) -> Iterator[CaseResult]:
+def _of_each_axis(dut: DeviceUnderTest, case: ListedCase) -> Iterator[CaseResult]:
     """A case of CiA 402 for each axis of the device; of CiA 301 once."""
-    several = len(dut.eds.axes) > 1 and case.name in OF_DRIVES
-    for axis in dut.eds.axes if several else [None]:
-        dut.eds.axis = axis or 1
-        result = replace(_examine(dut, case), axis=axis)
-        dut.eds.axis = 1
-        yield result
+    several = len(dut.eds.axes) > 1 and case.of_drives
+    for axis in dut.eds.each_axis() if several else [None]:
+        yield replace(_examine(dut, case), axis=axis)
 
 
 def _afterwards(lost: list[Step], compared: int) -> CaseResult:
@@ -200,13 +186,13 @@ def _leave(dut: DeviceUnderTest, before: Values, power_on: Values | None) -> lis
     return restore(dut, before, "at the end")
 
 
-def _examine(dut: DeviceUnderTest, case: Case) -> CaseResult:
+def _examine(dut: DeviceUnderTest, case: ListedCase) -> CaseResult:
     dut.begin()
     verdict, reason = Verdict.PASSED, ""
     try:
         dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
         dut.begin()
-        CASES[case.name](dut)
+        case.examine(dut)
     except NotApplicableError as error:
         verdict, reason = Verdict.NOT_APPLICABLE, str(error)
     except NotAllowedError as error:

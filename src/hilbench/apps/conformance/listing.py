@@ -23,6 +23,7 @@ from hilbench.apps.conformance import (
 )
 from hilbench.apps.conformance.actions import Action, register
 from hilbench.apps.conformance.dut import DeviceUnderTest
+from hilbench.apps.conformance.record import Case
 from hilbench.block import Strict
 from hilbench.strict_yaml import load, validate
 
@@ -50,20 +51,11 @@ class Group(Strict):
 
 
 @dataclass(frozen=True)
-class Case:
-    """One case as it is listed."""
+class ListedCase(Case):
+    """One case with what is done of it."""
 
-    group: str
-    number: int
-    title: str
-    clause: str
     of_drives: bool = False
     actions: Sequence[Callable[[DeviceUnderTest], object]] = ()
-
-    @property
-    def name(self) -> str:
-        """Group and number: "SDO 5"."""
-        return f"{self.group} {self.number}"
 
     def examine(self, dut: DeviceUnderTest) -> None:
         """Examine a device by it. Raises NotApplicableError, NotAllowedError and CaseEndedError."""
@@ -74,10 +66,10 @@ class Case:
 
 
 @cache
-def listed_cases() -> tuple[Case, ...]:
+def listed_cases() -> tuple[ListedCase, ...]:
     """Cases in the order in which they are examined."""
     return tuple(
-        Case(name, number, case.title, case.clause, group.of_drives, (*case.needs, *case.do))
+        ListedCase(name, number, case.title, case.clause, group.of_drives, (*case.needs, *case.do))
         for document in (load(_FOLDER / f"{file}.yaml") for file in _FILES)
         for name, group in ((name, validate(document, Group, (name,))) for name in document.data)
         for number, case in group.cases.items()

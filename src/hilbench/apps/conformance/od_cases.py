@@ -93,12 +93,12 @@ def _access(dut: DeviceUnderTest, entry: Entry) -> None:
 def _may_write_back(dut: DeviceUnderTest, entry: Entry, data: bytes) -> bool:
     if not entry.writable or entry.index in _COMMANDS or of_first_axis(entry.index) == _CONTROLWORD or not data:
         return False
-    return dut.allowed.motion or not _MAKERS[0] <= entry.index <= _MAKERS[1]
+    return dut.motion or not _MAKERS[0] <= entry.index <= _MAKERS[1]
 
 
 def _note_maker_objects(dut: DeviceUnderTest, found: list[Entry]) -> None:
     makers = [entry for entry in found if _MAKERS[0] <= entry.index <= _MAKERS[1] and entry.writable]
-    if makers and not dut.allowed.motion:
+    if makers and not dut.motion:
         dut.notes.append(
             f"{len(makers)} objects of the maker (2000h to 5FFFh) were read, not written: what that does only he knows "
             "(--allow-motion)"

@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 from hilbench.apps.conformance.actions import ABORT_CODES
 from hilbench.apps.conformance.description import Entry
-from hilbench.apps.conformance.dut import DeviceUnderTest, answers
+from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.process_data import (
     RPDO,
     TPDO,
@@ -96,7 +96,7 @@ def _inhibit_time(dut: DeviceUnderTest) -> None:
     found = dut.receive_id(pdo.cob_id, 0.1 * _INHIBIT_S)
     change(dut)
     found += dut.receive_id(pdo.cob_id, 3.0 * _INHIBIT_S)
-    gaps = [later.at_s - earlier.at_s for earlier, later in pairwise(found)]
+    gaps = [(later.time_ns - earlier.time_ns) * 1e-9 for earlier, later in pairwise(found)]
     seen = ", ".join(f"{1000.0 * gap:.1f} ms" for gap in gaps) or f"{len(found)} frames"
     ok = bool(gaps) and min(gaps) >= _INHIBIT_S - _TOLERANCE_S
     dut.check("changes within the inhibit time", f"{1000.0 * _INHIBIT_S:g} ms between frames at least", seen, ok)
@@ -107,7 +107,7 @@ def every_third_sync(dut: DeviceUnderTest, state: NmtCommand) -> None:
     transmit_pdo(dut)
     set_up(dut, 3)
     dut.nmt(state)
-    came = [answers(dut.sync(), dut.pdo.cob_id, lambda _: True) for _ in range(6)]
+    came = [dut.sync_brings(dut.pdo.cob_id) for _ in range(6)]
     first = came.index(True) if any(came[:3]) else 2
     wanted = [number % 3 == first for number in range(6)] if state is NmtCommand.START else [False] * 6
     dut.check("six SYNCs, type 3", _marks(wanted), _marks(came), came == wanted)
@@ -125,7 +125,7 @@ def start_value(dut: DeviceUnderTest, state: NmtCommand) -> None:
     dut.write(0x1019, 0, 10)
     set_up(dut, 2, start=4)
     dut.nmt(state)
-    came = [counter for counter in range(1, 11) if answers(dut.sync(bytes((counter,))), pdo.cob_id, lambda _: True)]
+    came = [counter for counter in range(1, 11) if dut.sync_brings(pdo.cob_id, bytes((counter,)))]
     wanted = ([4, 6, 8, 10], [5, 7, 9]) if state is NmtCommand.START else ([],)
     expected = f"{pdo.cob_id:03X} with {' or '.join(str(each or 'none') for each in wanted)}"
     dut.check("SYNC 1 to 10", expected, f"with {came or 'none'}", came in wanted)
@@ -155,12 +155,12 @@ def default_mapping(dut: DeviceUnderTest) -> None:
 
 def _variable(dut: DeviceUnderTest, base: int) -> int:
     """Index of a PDO whose mapping can be written."""
-    numbers = [
-        number
+    indices = [
+        base + number
         for number in dut.eds.pdos(base)
         if dut.eds.can_write(base + number, 1) and dut.eds.can_write(base + number + MAPPING, 0)
     ]
-    return base + dut.first(numbers, f"a mapping ({base + MAPPING:04X}h …) that can be written")
+    return some(indices, f"a mapping ({base + MAPPING:04X}h …) that can be written is not in the EDS file")[0]
 
 
 def _opened(dut: DeviceUnderTest, base: int) -> int:
@@ -292,8 +292,7 @@ def maps(dut: DeviceUnderTest, direction: _Direction, kinds: list[str], mappable
 
 def placeholder(dut: DeviceUnderTest) -> None:
     """A dummy takes its place in the frame, and the object after it what follows."""
-    dut.first(dut.eds.dummies, "a placeholder ([DummyUsage])")
-    dummy = max(dut.eds.dummies)
+    dummy = max(some(dut.eds.dummies, "a placeholder ([DummyUsage]) is not in the EDS file"))
     bits = data_type(dummy).pdo_bits or 0
     pdo = receive_pdo(dut)
     opened = _opened(dut, RPDO)

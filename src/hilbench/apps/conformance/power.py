@@ -9,10 +9,13 @@ from typing import Final
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.record import NotApplicableError
 from hilbench.canopen.identifiers import HEARTBEAT
+from hilbench.canopen.sdo_client import Refusal
 from hilbench.cia402 import objects
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.state_machine import (
     CONTROLWORD_FAULT_RESET,
+    POWERED,
+    STATUS_TARGET_REACHED,
     Command,
     State,
     controlword_towards_enabled,
@@ -22,7 +25,7 @@ from hilbench.cia402.units import RPM, DriveUnits
 from hilbench.errors import UnusableInputError
 
 _STEP_S: Final = 0.01
-_STATE_S: Final = 3.0
+STATE_S: Final = 3.0  #: for a transition
 _SPEED_RPM: Final = 60.0
 #: The slow ramp (6083h, 6084h) takes so long from speed to rest, the quick stop's (6085h) a quarter.
 SLOW_RAMP_S, QUICK_RAMP_S = 0.8, 0.2
@@ -64,7 +67,7 @@ def command(dut: DeviceUnderTest, controlword: int) -> None:
     dut.write(objects.CONTROLWORD, 0, controlword)
 
 
-def wait(dut: DeviceUnderTest, condition: Callable[[], bool], duration_s: float = _STATE_S) -> float | None:
+def wait(dut: DeviceUnderTest, condition: Callable[[], bool], duration_s: float = STATE_S) -> float | None:
     """Wait until a condition holds: how long that took (s); None: it never did."""
     begun_s = dut.wire.now_s()
     while not condition():
@@ -74,7 +77,7 @@ def wait(dut: DeviceUnderTest, condition: Callable[[], bool], duration_s: float 
     return dut.wire.now_s() - begun_s
 
 
-def expect_state(dut: DeviceUnderTest, what: str, *wanted: State, duration_s: float = _STATE_S) -> bool:
+def expect_state(dut: DeviceUnderTest, what: str, *wanted: State, duration_s: float = STATE_S) -> bool:
     """Expect one of some states within a time."""
     wait(dut, lambda: state(dut) in wanted, duration_s)
     found = state(dut)
@@ -129,7 +132,7 @@ def supported(dut: DeviceUnderTest) -> list[OperationMode]:
 
 
 def _takes(dut: DeviceUnderTest, mode: OperationMode) -> bool:
-    if dut.try_to_write(objects.MODES_OF_OPERATION, 0, bytes((mode,))) != b"":
+    if dut.offer(objects.MODES_OF_OPERATION, mode) != b"":
         return False
     return wait(dut, lambda: dut.value(objects.MODES_OF_OPERATION_DISPLAY) == mode, 0.1) is not None
 
@@ -165,6 +168,33 @@ def rest(dut: DeviceUnderTest) -> None:
                 dut.write(target, 0, 0)
             return
     raise NotApplicableError("no mode (6502h) in which an enabled drive stands still by itself")
+
+
+def shown_state(dut: DeviceUnderTest) -> State | None:
+    """Power state of the drive; None: it shows none."""
+    word = dut.number(objects.STATUSWORD)
+    return None if word is None else decode_statusword(word)
+
+
+def at_rest(dut: DeviceUnderTest) -> None:
+    """A drive without power, whatever a case has left it in: a quick stop first, if it has some."""
+    if not dut.eds.is_drive:
+        return
+    if shown_state(dut) in POWERED:
+        _try_command(dut, Command.QUICK_STOP)
+        wait(dut, lambda: _is_over(dut.number(objects.STATUSWORD) or 0))
+    _try_command(dut, Command.DISABLE_VOLTAGE)
+
+
+def _is_over(word: int) -> bool:
+    """True by the statusword after a quick stop: target reached, or without power."""
+    return decode_statusword(word) not in POWERED or bool(word & STATUS_TARGET_REACHED)
+
+
+def _try_command(dut: DeviceUnderTest, word: Command) -> None:
+    answer = dut.offer(objects.CONTROLWORD, word.value)
+    if isinstance(answer, Refusal):
+        dut.notes.append(f"6040h = {word.value} was refused, {answer}")
 
 
 # -- turning ---------------------------------------------------------------------------------------------------

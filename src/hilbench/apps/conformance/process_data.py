@@ -13,13 +13,11 @@ from hilbench.apps.conformance.description import Entry, Pdo
 from hilbench.apps.conformance.dut import DeviceUnderTest
 from hilbench.apps.conformance.record import NotApplicableError, some
 from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING, NO_REMOTE_REQUEST
-from hilbench.canopen.sdo_client import Refusal
 from hilbench.cia402.objects import CONTROLWORD, STATUSWORD
-from hilbench.cia402.state_machine import POWERED, STATUS_TARGET_REACHED, Command, State, decode_statusword
+from hilbench.cia402.state_machine import Command
 
 RPDO, TPDO = 0x1400, 0x1800
 _DEFAULT_IDS: Final = {RPDO: (0x200, 0x300, 0x400, 0x500), TPDO: (0x180, 0x280, 0x380, 0x480)}
-_QUICK_STOP_S, _STEP_S = 3.0, 0.02
 _SHUTDOWN, _DISABLE = Command.SHUTDOWN.value, Command.DISABLE_VOLTAGE.value
 
 
@@ -52,7 +50,7 @@ def receive_pdo(dut: DeviceUnderTest) -> Pdo:
 def _pdo(dut: DeviceUnderTest, base: int, entry: Entry) -> Pdo:
     what = "RPDO" if base == RPDO else "TPDO"
     numbers = [number for number in dut.eds.pdos(base) if dut.eds.can_write(base + number, 1)]
-    number = dut.first(numbers, f"a {what} whose COB-ID can be written")
+    number = some(numbers, f"a {what} whose COB-ID can be written is not in the EDS file")[0]
     index = base + number
     cob_id = dut.value(index, 1) & COB_ID
     if cob_id == 0:
@@ -114,32 +112,3 @@ def change(dut: DeviceUnderTest) -> None:
         return
     index, sub = dut.pdo.carries.key
     dut.write(index, sub, dut.value(index, sub) ^ 1)
-
-
-def at_rest(dut: DeviceUnderTest) -> None:
-    """A drive without power, whatever a case has left it in: a quick stop first, if it has some."""
-    if not dut.eds.is_drive:
-        return
-    for word, states in ((Command.QUICK_STOP, POWERED), (Command.DISABLE_VOLTAGE, None)):
-        if states is not None and shown_state(dut) not in states:
-            continue
-        answer = dut.try_to_write(CONTROLWORD, 0, word.value.to_bytes(2, "little"))
-        if isinstance(answer, Refusal):
-            dut.notes.append(f"6040h = {word.value} was refused, {answer}")
-        if states is not None:
-            _wait_for_rest(dut)
-
-
-def shown_state(dut: DeviceUnderTest) -> State | None:
-    """Power state of the drive; None: it shows none."""
-    word = dut.number(STATUSWORD)
-    return None if word is None else decode_statusword(word)
-
-
-def _wait_for_rest(dut: DeviceUnderTest) -> None:
-    """Wait until a quick stop is over: target reached, or without power."""
-    for _ in range(round(_QUICK_STOP_S / _STEP_S)):
-        word = dut.number(STATUSWORD) or 0
-        if decode_statusword(word) not in POWERED or word & STATUS_TARGET_REACHED:
-            return
-        dut.wait(_STEP_S)

@@ -32,13 +32,29 @@ class Step:
 
 
 @dataclass(frozen=True)
-class CaseResult:
-    """One case that was examined, or why it was not."""
+class Case:
+    """One case, and where the standard asks for it."""
 
     group: str
     number: int
     title: str
     clause: str
+
+    @property
+    def label(self) -> str:
+        """Number of the case in its group."""
+        return f"{self.number}"
+
+    @property
+    def name(self) -> str:
+        """Group and number: "SDO 5"; "Modes 1, axis 2" of a device with several axes."""
+        return f"{self.group} {self.label}"
+
+
+@dataclass(frozen=True)
+class CaseResult(Case):
+    """One case that was examined, or why it was not."""
+
     verdict: Verdict
     reason: str
     steps: Sequence[Step] = ()
@@ -49,11 +65,6 @@ class CaseResult:
     def label(self) -> str:
         """Number of the case in its group, and the axis of a device with several."""
         return f"{self.number}" if self.axis is None else f"{self.number}, axis {self.axis}"
-
-    @property
-    def name(self) -> str:
-        """Group and number: "SDO 5"; "Modes 1, axis 2" of a device with several axes."""
-        return f"{self.group} {self.label}"
 
 
 @dataclass(frozen=True)

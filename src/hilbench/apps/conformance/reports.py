@@ -52,18 +52,14 @@ def write_junit(examination: Examination, path: Path) -> None:
     """Write it. Raises UnusableInputError if it cannot be written."""
     suite = ElementTree.Element("testsuite", name=f"{examination.device} (node {examination.node_id})")
     for case in examination.cases:
-        _add(suite, case)
+        element = ElementTree.SubElement(suite, "testcase", classname=case.group, name=f"{case.name}: {case.title}")
+        if case.verdict is Verdict.FAILED:
+            failure = ElementTree.SubElement(element, "failure", message=case.reason)
+            failure.text = "\n".join(
+                f"{step.what}: sent {step.sent or 'nothing'}; expected {step.expected}; seen {step.seen}"
+                for step in case.steps
+                if not step.ok
+            )
+        elif case.verdict is not Verdict.PASSED:
+            ElementTree.SubElement(element, "skipped", message=f"{case.verdict}: {case.reason}")
     write_suite(suite, path)
-
-
-def _add(suite: ElementTree.Element, case: CaseResult) -> None:
-    element = ElementTree.SubElement(suite, "testcase", classname=case.group, name=f"{case.name}: {case.title}")
-    if case.verdict is Verdict.FAILED:
-        failure = ElementTree.SubElement(element, "failure", message=case.reason)
-        failure.text = "\n".join(
-            f"{step.what}: sent {step.sent or 'nothing'}; expected {step.expected}; seen {step.seen}"
-            for step in case.steps
-            if not step.ok
-        )
-    elif case.verdict is not Verdict.PASSED:
-        ElementTree.SubElement(element, "skipped", message=f"{case.verdict}: {case.reason}")

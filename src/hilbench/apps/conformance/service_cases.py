@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Final
 
 from hilbench.apps.conformance.actions import Key
-from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text, answers
+from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text
 from hilbench.apps.conformance.process_data import receive_pdo, set_up, transmit_pdo
 from hilbench.apps.conformance.record import CaseEndedError, NotAllowedError, NotApplicableError, some
-from hilbench.apps.conformance.wire import ReceivedFrame, periods, steady
-from hilbench.can.frame import REMOTE_FLAG
+from hilbench.apps.conformance.wire import periods, steady
+from hilbench.can.frame import REMOTE_FLAG, Frame
 from hilbench.canopen.identifiers import (
     COB_ID,
     HEARTBEAT,
@@ -164,7 +165,9 @@ def register_after_short_rpdo(dut: DeviceUnderTest) -> None:
         dut.notes.append("the device reports the error once, and has none in 1001h")
         dut.reads("1001h as in the message", 0x1001, 0, 0)
         return
-    dut.reads_bits("1001h: generic and communication error", 0x1001, 0, 0x11)
+    answer = dut.peek(0x1001, 0)
+    ok = isinstance(answer, bytes) and int.from_bytes(answer, "little") & 0x11 == 0x11
+    dut.check("1001h: generic and communication error", "bits 11h", answer_text(answer), ok)
     emergency_id = dut.emergency_id
     _send_rpdo(dut)
     found = dut.receive_until(emergency_id, _SOON_S)
@@ -183,7 +186,7 @@ def produce_sync(dut: DeviceUnderTest) -> None:
 
 def every_tenth_sync(dut: DeviceUnderTest) -> None:
     """Transmission type 10: with every tenth SYNC, whichever the device counts from."""
-    came = [number for number in range(1, 41) if answers(dut.sync(), dut.pdo.cob_id, lambda _: True)]
+    came = [number for number in range(1, 41) if dut.sync_brings(dut.pdo.cob_id)]
     wanted = list(range(came[0], 41, 10)) if came and came[0] <= 10 else [10, 20, 30, 40]
     dut.check("40 SYNCs, type 10", f"sent with {wanted}", f"sent with {came or 'none'}", came == wanted)
 
@@ -236,7 +239,7 @@ def _refuses_restricted(dut: DeviceUnderTest, index: int, sub: int) -> None:
 def heartbeats_beside_requests(dut: DeviceUnderTest) -> None:
     """Remote requests bring nothing, and move no heartbeat."""
     dut.forget()
-    found: list[ReceivedFrame] = []
+    found: list[Frame] = []
     for _ in range(7):
         dut.send(REMOTE_FLAG | HEARTBEAT + dut.node_id, b"\0")
         found += dut.receive_id(HEARTBEAT + dut.node_id, 0.3)
@@ -272,32 +275,35 @@ def watched_once(dut: DeviceUnderTest) -> None:
     dut.refuses("the same node in another entry", 0x1016, others[0], value, INCOMPATIBLE)
 
 
-def received_in_time(dut: DeviceUnderTest) -> None:
-    """No EMCY while heartbeats come."""
+def _watched(dut: DeviceUnderTest) -> Iterator[tuple[int, int]]:
+    """Each entry while it watches a node that is not there, and that node."""
     for entry, node in zip(_entries(dut), dut.strangers(0.2), strict=False):
         _watch(dut, entry, node)
+        dut.forget()
+        yield entry, node
+        dut.write(0x1016, entry, 0)
+        dut.forget()
+
+
+def received_in_time(dut: DeviceUnderTest) -> None:
+    """No EMCY while heartbeats come."""
+    for entry, node in _watched(dut):
         dut.nmt(NmtCommand.START)
         dut.forget()
-        found: list[ReceivedFrame] = []
+        found: list[Frame] = []
         for _ in range(5):
             _beat(dut, node)
             found += dut.receive(_WATCHED_MS * 0.6e-3)
         dut.frames(f"entry {entry}: heartbeats in time", found, dut.emergency_id)
         dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
-        dut.write(0x1016, entry, 0)
-        dut.forget()
 
 
 def missed(dut: DeviceUnderTest) -> None:
     """EMCY 8130h when they stay away."""
-    for entry, node in zip(_entries(dut), dut.strangers(0.2), strict=False):
-        _watch(dut, entry, node)
-        dut.forget()
+    for entry, node in _watched(dut):
         _beat(dut, node)
         found = dut.receive(2.5e-3 * _WATCHED_MS)
         dut.frames(f"entry {entry}: no heartbeat any more", found, dut.emergency_id, _LOST)
-        dut.write(0x1016, entry, 0)
-        dut.forget()
 
 
 def reset_ends_watch(dut: DeviceUnderTest) -> None:
@@ -317,7 +323,7 @@ def reset_ends_watch(dut: DeviceUnderTest) -> None:
 # -- node guarding ---------------------------------------------------------------------------------------------
 
 
-def guard(dut: DeviceUnderTest) -> list[ReceivedFrame]:
+def guard(dut: DeviceUnderTest) -> list[Frame]:
     """A remote request, and what it brings."""
     dut.send(REMOTE_FLAG | HEARTBEAT + dut.node_id, b"\0")
     return dut.receive_id(HEARTBEAT + dut.node_id, 0.1)

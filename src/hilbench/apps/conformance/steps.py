@@ -8,7 +8,8 @@ from typing import Literal
 from hilbench.apps.conformance.actions import ABORT_DIGITS, ACTIONS, AbortCode, Digits, Key
 from hilbench.apps.conformance.dut import DeviceUnderTest, aborted, multiplexed
 from hilbench.apps.conformance.record import NotApplicableError, some
-from hilbench.apps.conformance.wire import ReceivedFrame, periods, steady
+from hilbench.apps.conformance.wire import periods, steady
+from hilbench.can.frame import Frame
 from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, SDO_ANSWER, SDO_REQUEST, SYNC
 from hilbench.canopen.object_store import NO_OBJECT
 
@@ -167,7 +168,7 @@ def sync(dut: DeviceUnderTest, what: str, of: _Sender, *frames: str, data: Digit
     _expect(dut, what, dut.sync(data), of, frames)
 
 
-def _expect(dut: DeviceUnderTest, what: str, found: list[ReceivedFrame], of: _Sender, frames: Sequence[str]) -> None:
+def _expect(dut: DeviceUnderTest, what: str, found: list[Frame], of: _Sender, frames: Sequence[str]) -> None:
     if of == "pdo":
         frames = [each.format(any="??" * dut.pdo.size) for each in frames]
     dut.frames(what, found, _id_of(dut, of), *frames)

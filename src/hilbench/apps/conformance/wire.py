@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
@@ -17,30 +16,8 @@ _SLACK: Final = 0.15
 _LONGEST_WAIT_S: Final = 0.1
 
 
-@dataclass(frozen=True)
-class ReceivedFrame:
-    """A frame from the bus; `at_s` (seconds) is for differences only. `can_id` has the flag bits of `Frame`."""
-
-    at_s: float
-    can_id: int
-    data: bytes
-
-
-class Wire(Protocol):
-    """A bus on which a device is examined."""
-
-    def now_s(self) -> float:
-        """Time that passes (seconds), for differences."""
-
-    def send(self, can_id: int, data: bytes) -> None:
-        """Put a frame on the bus."""
-
-    def listen(self, duration_s: float, until: Callable[[ReceivedFrame], bool] | None = None) -> list[ReceivedFrame]:
-        """Frames in this time; up to and with the first frame for which `until` is true."""
-
-
-class LinkWire:
-    """A bus of this machine, in real time.
+class Wire:
+    """A bus of this machine on which a device is examined, in real time.
 
     Raises BusError when the bus is lost. `end_if_requested` is called while frames are waited for; what it raises ends
     the wait.
@@ -49,19 +26,20 @@ class LinkWire:
     def __init__(self, link: Link, end_if_requested: Callable[[], None] = lambda: None) -> None:
         self._link = link
         self._end_if_requested = end_if_requested
-        self._waiting: deque[ReceivedFrame] = deque()
+        self._waiting: deque[Frame] = deque()
 
     def now_s(self) -> float:
-        """The monotonic clock."""
+        """Time that passes (seconds), for differences."""
         return time.monotonic()
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send a frame at once."""
         self._link.send([Frame(can_id, data)])
 
-    def listen(self, duration_s: float, until: Callable[[ReceivedFrame], bool] | None = None) -> list[ReceivedFrame]:
-        """Sleeps between frames. With no time it is what waits already."""
-        found: list[ReceivedFrame] = []
+    def listen(self, duration_s: float, until: Callable[[Frame], bool] | None = None) -> list[Frame]:
+        """Frames in this time; up to and with the first frame for which `until` is true. Sleeps between frames; with
+        no time it is what waits already."""
+        found: list[Frame] = []
         deadline_s = time.monotonic() + duration_s
         looked = False
         while True:
@@ -75,20 +53,18 @@ class LinkWire:
             self._end_if_requested()
             looked = True
             for frame in self._link.receive(min(left_s, _LONGEST_WAIT_S)):
-                at_s = frame.time_ns * 1e-9 if frame.time_ns else time.monotonic()
-                self._waiting.append(ReceivedFrame(at_s, frame.can_id, frame.data))
+                self._waiting.append(frame if frame.time_ns else frame._replace(time_ns=time.monotonic_ns()))
 
 
-def steady(found: list[ReceivedFrame], period_s: float) -> bool:
+def steady(found: list[Frame], period_s: float) -> bool:
     """True if the mean period is `period_s`, within the tolerance."""
-    if len(found) < 2:
-        return False
-    mean_s = (found[-1].at_s - found[0].at_s) / (len(found) - 1)
-    return abs(mean_s - period_s) <= _SLACK * period_s
+    return len(found) > 1 and abs(_mean_period_s(found) - period_s) <= _SLACK * period_s
 
 
-def periods(found: list[ReceivedFrame]) -> str:
+def periods(found: list[Frame]) -> str:
     """The mean of the periods, for a person."""
-    if len(found) < 2:
-        return ""
-    return f", {1000.0 * (found[-1].at_s - found[0].at_s) / (len(found) - 1):.1f} ms on average"
+    return f", {1000.0 * _mean_period_s(found):.1f} ms on average" if len(found) > 1 else ""
+
+
+def _mean_period_s(found: list[Frame]) -> float:
+    return (found[-1].time_ns - found[0].time_ns) * 1e-9 / (len(found) - 1)

@@ -31,10 +31,6 @@ class Units(Block):
     velocity_rad_s: Positive | None = Field(default=None, description="of a velocity unit (606Ch, 60FFh)")
     rated_torque_Nm: Positive | None = Field(default=None, description="torques (6071h, 6077h) are thousandths of it")
 
-    def given(self) -> dict[str, float]:
-        """Values that are given, by key."""
-        return {name: value for name, value in self if value is not None}
-
 
 class SwitchPlaces(Block):
     """Positions of the switches."""

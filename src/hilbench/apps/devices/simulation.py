@@ -81,7 +81,9 @@ def simulated_axes(
 def _simulated_axis(
     device: Device, axis: int, behaviour: Behaviour, name: str, eds: Path, odd: Sequence[str]
 ) -> SimulatedNode:
-    units, assumptions = assumed_units(object_reader(AxisDevice(device, axis)), behaviour.units.given(), str(eds))
+    units, assumptions = assumed_units(
+        object_reader(AxisDevice(device, axis)), behaviour.units.model_dump(exclude_none=True), str(eds)
+    )
     port, switches = MotorPort(), behaviour.switches.switches()
     drive = Cia402Drive(device, port, units, axis=axis, switches=switches, state_change_s=behaviour.state_change_s)
     rig = _rig(units, behaviour.shaft, port)

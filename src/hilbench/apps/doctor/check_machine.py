@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hilbench.apps.doctor.findings import Check, Finding, ok, warning
+from hilbench.apps.doctor.subject import Subject
 from hilbench.can.socketcan import RECEIVE_BUFFER_BYTES
 from hilbench.exchange import pacing
 
@@ -105,22 +106,13 @@ def _text(path: Path) -> str:
         return ""
 
 
-@dataclass(frozen=True)
-class MachineNeeds:
-    """Requirements of the bench on the machine."""
-
-    realtime: bool  #: False: in lockstep only the result counts, not when it comes
-    cycle_s: float
-    socketcan: bool
-
-
-def check_machine(facts: MachineFacts, lateness: Lateness, needs: MachineNeeds) -> list[Finding]:
+def check_machine(facts: MachineFacts, lateness: Lateness, subject: Subject) -> list[Finding]:
     """Findings on the machine. In lockstep nothing of it can be wrong but the clock."""
     findings = [_clock(facts)]
-    if needs.socketcan:
+    if subject.on_socketcan:
         findings.append(_receive_buffer(facts))
-    timed = [_clock_source(facts), _timer(lateness, needs), *_rights(facts), *_scheduling(facts)]
-    if not needs.realtime:
+    timed = [_clock_source(facts), _timer(lateness, subject), *_rights(facts), *_scheduling(facts)]
+    if not subject.realtime:
         timed = [ok(finding.check, finding.subject, f"{finding.found} (lockstep: no matter)") for finding in timed]
     return findings + timed
 
@@ -144,12 +136,12 @@ def _clock_source(facts: MachineFacts) -> Finding:
     return _unless(source not in _SLOW_CLOCK_SOURCES, Check.CLOCK_SOURCE, known, known, problem, better=better)
 
 
-def _timer(lateness: Lateness, needs: MachineNeeds) -> Finding:
+def _timer(lateness: Lateness, subject: Subject) -> Finding:
     found = (
         f"late by {lateness.p50_us:.0f} µs (p50), {lateness.p99_us:.0f} µs (p99), {lateness.max_us:.0f} µs (largest) "
-        f"in {lateness.cycles} cycles of {needs.cycle_s * 1e3:g} ms"
+        f"in {lateness.cycles} cycles of {subject.cycle_s * 1e3:g} ms"
     )
-    cycle_us = needs.cycle_s * 1e6
+    cycle_us = subject.cycle_s * 1e6
     p99_us = _LATE_SHARE * cycle_us
     is_fine = lateness.p99_us <= p99_us and lateness.max_us <= cycle_us
     return _unless(is_fine, Check.TIMER, found, found, p99_us=p99_us, cycle_us=cycle_us, priority=PRIORITY)

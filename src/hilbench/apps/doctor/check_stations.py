@@ -3,78 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
 
 from hilbench.apps.doctor.findings import Check, Finding, error, ok, warning
+from hilbench.apps.doctor.subject import ExpectedNode, MappedObject
 from hilbench.canopen.listening import Received, master_at_work
 from hilbench.canopen.sdo_client import Answer, Refusal, SdoClient
 
-_IDENTITY_ENTRIES = 3  # vendor id, product code, revision number
+_DEVICE_TYPE = (0x1000, 0)
+_IDENTITY = ((0x1018, 1), (0x1018, 2), (0x1018, 3))  # vendor id, product code, revision number
 _PROFILE_MASK = 0xFFFF  # 1000h: device profile number in the low half
 _WRITE_ONLY = 0x06010001
 
 
-@dataclass(frozen=True)
-class MappedObject:
-    """An object that the bench maps into a PDO, with its length by the EDS in bits."""
-
-    index: int
-    sub: int
-    name: str
-    bits: int
-
-
-@dataclass(frozen=True)
-class ExpectedNode:
-    """A node of the config, as its EDS file has it; None where the file does not state it."""
-
-    part: str
-    node_id: int
-    eds: Path
-    ours: bool  #: `hilbench run` starts it: simulated hardware or twin
-    device_type: int | None = None
-    #: Vendor id, product code and revision: for each, what [DeviceInfo] and 1018h give (0: nothing).
-    identity: tuple[frozenset[int], ...] = (frozenset(), frozenset(), frozenset())
-    mapped: tuple[MappedObject, ...] = ()
-
-    @property
-    def subject(self) -> str:
-        """Name of the node in findings."""
-        return f"{self.part.replace('_', ' ')} (node {self.node_id})"
-
-
-@dataclass(frozen=True)
-class NodeAnswers:
-    """Answers of one node; only `device_type` when it gave no answer to that."""
-
-    device_type: Answer
-    identity: tuple[Answer, ...] = ()
-    mapped: Mapping[tuple[int, int], Answer] = field(default_factory=dict)
+#: Answers of one node, by object; none where it gave none to a read of its device type.
+NodeAnswers = Mapping[tuple[int, int], Answer]
 
 
 def ask(reader: SdoClient, node: ExpectedNode) -> NodeAnswers:
     """Read device type, identity and the mapped objects of one node."""
     device_type = reader.read(node.node_id, 0x1000)
     if device_type is None:
-        return NodeAnswers(None)
-    return NodeAnswers(
-        device_type,
-        tuple(reader.read(node.node_id, 0x1018, sub) for sub in range(1, 1 + _IDENTITY_ENTRIES)),
-        {(item.index, item.sub): reader.read(node.node_id, item.index, item.sub) for item in node.mapped},
-    )
+        return {}
+    keys = (*_IDENTITY, *((item.index, item.sub) for item in node.mapped))
+    return {_DEVICE_TYPE: device_type, **{key: reader.read(node.node_id, *key) for key in keys}}
 
 
 def check_received(
     received: Received, expected: Sequence[ExpectedNode], master_id: int, bus: str, claimed_by: str | None = None
 ) -> list[Finding]:
     """Findings on unsolicited frames; `claimed_by`: the program that has claimed to be the master."""
-    findings = []
     master = master_at_work(received, claimed_by, master_id)
-    if master is not None:
-        findings.append(error(Check.OTHER_MASTER, bus, master))
-    else:
-        findings.append(ok(Check.OTHER_MASTER, bus, "none received"))
+    findings = [
+        ok(Check.OTHER_MASTER, bus, "none received") if master is None else error(Check.OTHER_MASTER, bus, master)
+    ]
     known = {node.node_id for node in expected} | {master_id}
     strangers = {node_id: ids for node_id, ids in received.nodes.items() if node_id not in known}
     if strangers:
@@ -90,31 +51,28 @@ def check_received(
 
 def check_node(node: ExpectedNode, answers: NodeAnswers) -> list[Finding]:
     """Findings on one node that was read."""
-    if answers.device_type is None:
-        return [_silent(node)]
+    if not answers:
+        command = "twin" if node.part.startswith("virtual") else "simulate-hardware"
+        problem = "node_not_started" if node.ours else ""
+        found = "no answer to an SDO read of 1000h"
+        return [error(Check.NODE_ANSWERS, node.subject, found, problem, command=command, node_id=node.node_id)]
     return [
-        ok(Check.NODE_ANSWERS, node.subject, f"answers; 1000h is {_hex(answers.device_type)}"),
+        ok(Check.NODE_ANSWERS, node.subject, f"answers; 1000h is {_hex(answers[_DEVICE_TYPE])}"),
         _identity(node, answers),
         *_mapped(node, answers),
     ]
 
 
-def _silent(node: ExpectedNode) -> Finding:
-    found = "no answer to an SDO read of 1000h"
-    command = "twin" if node.part.startswith("virtual") else "simulate-hardware"
-    problem = "node_not_started" if node.ours else ""
-    return error(Check.NODE_ANSWERS, node.subject, found, problem, command=command, node_id=node.node_id)
-
-
 def _identity(node: ExpectedNode, answers: NodeAnswers) -> Finding:
     """1000h and 1018h against the EDS. Another revision may do; another maker, product or profile may not."""
     checks = [
-        ("vendor id", answers.identity[0], node.identity[0], error),
-        ("product code", answers.identity[1], node.identity[1], error),
-        ("revision", answers.identity[2], node.identity[2], warning),
+        ("vendor id", answers[_IDENTITY[0]], node.identity[0], error),
+        ("product code", answers[_IDENTITY[1]], node.identity[1], error),
+        ("revision", answers[_IDENTITY[2]], node.identity[2], warning),
     ]
-    if node.device_type and isinstance(answers.device_type, bytes):
-        found = int.from_bytes(answers.device_type, "little") & _PROFILE_MASK
+    device_type = answers[_DEVICE_TYPE]
+    if node.device_type and isinstance(device_type, bytes):
+        found = int.from_bytes(device_type, "little") & _PROFILE_MASK
         wanted = node.device_type & _PROFILE_MASK
         if found != wanted:
             values = {"wanted": wanted, "eds": node.eds.name, "node_id": node.node_id}
@@ -125,7 +83,7 @@ def _identity(node: ExpectedNode, answers: NodeAnswers) -> Finding:
             found_text = f"{name} {_hex(answer)}"
             return finding(Check.IDENTITY, node.subject, found_text, wanted=wanted_text, eds=node.eds.name)
     compared = [name for name, _, wanted, _ in checks if wanted]
-    text = " ".join(_hex(answer) for answer in answers.identity)
+    text = " ".join(_hex(answers[key]) for key in _IDENTITY)
     return ok(Check.IDENTITY, node.subject, f"1018h is {text}; {', '.join(compared) or 'nothing'} given by the EDS")
 
 
@@ -138,17 +96,12 @@ def _mapped(node: ExpectedNode, answers: NodeAnswers) -> list[Finding]:
 
 
 def _object(node: ExpectedNode, item: MappedObject, answers: NodeAnswers) -> Finding | None:
-    answer = answers.mapped[item.index, item.sub]
+    answer = answers[item.index, item.sub]
     if isinstance(answer, Refusal) and answer.code == _WRITE_ONLY:
         return None  # it is there, and its length cannot be seen
     if isinstance(answer, bytes) and 8 * len(answer) == item.bits:
         return None
-    if answer is None:
-        found = "no answer"
-    elif isinstance(answer, Refusal):
-        found = str(answer)
-    else:
-        found = f"{8 * len(answer)} bits"
+    found = f"{8 * len(answer)} bits" if isinstance(answer, bytes) else str(answer or "no answer")
     text = f"{_object_name(item)} '{item.name}': {found}"
     return error(Check.MAPPED_OBJECTS, node.subject, text, bits=item.bits, eds=node.eds.name)
 

@@ -7,11 +7,12 @@ there now, by whether it was restarted since. What is neither was changed by som
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from math import isclose
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from hilbench.apps.canopen_tools.eds_match import EdsFile
+from hilbench.apps.canopen_tools.eds_match import EdsFile, fitting
 from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import shared_eds
@@ -25,9 +26,13 @@ from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, parse_object
 
 if TYPE_CHECKING:
+    from canopen.objectdictionary import ODVariable
+
     from canopen import ObjectDictionary
 
 Kind = Literal["config", "eds", "missing", "identity", "units", "parameter", "pdo", "reset"]
+#: A key of the config that would match the present value, and that value.
+Write = tuple[tuple[str, ...], Any]
 NodeAnswers = Mapping[str, Mapping[Key, bytes | None]]
 
 #: Keys of a config that say nothing of the stand.
@@ -44,29 +49,22 @@ _BY_THE_FILE: Final[tuple[tuple[Key, int], ...]] = (
 
 
 @dataclass(frozen=True)
-class Write:
-    """Change of the config that would match the present value."""
-
-    location: tuple[str, ...]
-    value: Any
-
-
-@dataclass(frozen=True)
 class Drift:
-    """One thing that is not what it was. `key` names it for `--write`; `before` is of the last run, `by_file` of the
-    EDS file, as texts (None: not known, or not compared); `write`: None where no key of the config could say it."""
+    """One thing that is not what it was. `key` names it for `--write`; `last_run` is what it was in the last run, `eds`
+    by the EDS file, as texts (None: not known, or not compared); `write`: values by key of the config that would match
+    the present one, none where no key could say it."""
 
     kind: Kind
     key: str
     what: str
     now: str
-    before: str | None = None
-    by_file: str | None = None
-    write: tuple[Write, ...] = ()
+    last_run: str | None = None
+    eds: str | None = None
+    write: Mapping[tuple[str, ...], Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        by_node = [f"{self.before} in the last run"] if self.before is not None else []
-        by_node += [f"{self.by_file} by its EDS file"] if self.by_file is not None else []
+        by_node = [f"{self.last_run} in the last run"] if self.last_run is not None else []
+        by_node += [f"{self.eds} by its EDS file"] if self.eds is not None else []
         return f"{self.key}: {self.what}: {self.now}" + (f", {', '.join(by_node)}" if by_node else "")
 
 
@@ -88,7 +86,7 @@ def drifts(
     found += [] if last is None else list(_of_files(config, last))
     for part in drives_of(config):
         if part.name in by_node:
-            found += _of_node(config, part, by_node[part.name], last, fresh=part.name in fresh, files=files)
+            found += _of_node(part, by_node[part.name], last, fresh=part.name in fresh, files=files)
     return found
 
 
@@ -155,7 +153,6 @@ def _eds_text(found: EdsObject | None) -> str:
 
 
 def _of_node(
-    config: BenchConfig,
     part: Part,
     now: Mapping[Key, bytes | None],
     last: StandData | None,
@@ -183,7 +180,7 @@ def _of_node(
             text_of(od, key, now.get(key)),
             None if drift is None else text_of(od, key, before),
             by_file,
-            tuple(_writes(config, part, od, key, now, files)),
+            dict(_writes(part, od, key, now, files)),
         )
 
 
@@ -212,10 +209,16 @@ def _kind(key: Key) -> Kind:
     return "pdo" if key[0] in _PDO else "parameter"
 
 
-def _what(od: ObjectDictionary, key: Key) -> str:
+def _variable(od: ObjectDictionary, key: Key) -> ODVariable | None:
     try:
-        variable = eds.variable(od, *key)
+        return eds.variable(od, *key)
     except KeyError:
+        return None
+
+
+def _what(od: ObjectDictionary, key: Key) -> str:
+    variable = _variable(od, key)
+    if variable is None:
         return "object"
     parent = getattr(variable.parent, "name", "")
     return f"{parent}, {variable.name}" if parent and key[1] else str(variable.name)
@@ -223,13 +226,9 @@ def _what(od: ObjectDictionary, key: Key) -> str:
 
 def _by_file(part: Part, od: ObjectDictionary, key: Key, now: bytes | None) -> str | None:
     """Value in the file, where a device must agree with it and does not."""
-    try:
-        variable = eds.variable(od, *key)
-    except KeyError:
-        return None
-    default = part.node.writes.get(key, variable.default)
-    mask = dict(_BY_THE_FILE).get(key)
-    if not isinstance(default, int | float) or (mask is not None and not default):
+    variable, mask = _variable(od, key), dict(_BY_THE_FILE).get(key)
+    default = None if variable is None else part.node.writes.get(key, variable.default)
+    if variable is None or not isinstance(default, int | float) or (mask is not None and not default):
         return None  # the file leaves it open
     if now is None:
         return str(default) if key[0] in UNITS and variable.default is not None else None
@@ -253,7 +252,6 @@ def _encoded(kind: int | None, value: int | float) -> bytes | None:
 
 
 def _writes(
-    config: BenchConfig,
     part: Part,
     od: ObjectDictionary,
     key: Key,
@@ -268,24 +266,22 @@ def _writes(
         value = _value(od, key, now.get(key))
         if value is not None:
             name = next(name for name in part.node.parameters if parse_object(name) == key)
-            yield Write((*part.location, "parameters", name), value)
+            yield (*part.location, "parameters", name), value
 
 
 def _value(od: ObjectDictionary, key: Key, data: bytes | None) -> int | float | None:
-    try:
-        found = None if data is None else data_type(eds.variable(od, *key).data_type or 0).decode(data)
-    except (KeyError, ValueError):
-        return None
+    variable, found = _variable(od, key), None
+    with suppress(ValueError):
+        found = None if data is None or variable is None else data_type(variable.data_type or 0).decode(data)
     return found if isinstance(found, int | float) else None
 
 
 def _other_file(part: Part, now: Mapping[Key, bytes | None], files: Sequence[EdsFile]) -> Iterator[Write]:
     answers = [now.get((0x1018, sub)) for sub in (1, 2, 3)]
     identity = tuple(None if answer is None else int.from_bytes(answer, "little") for answer in answers)
-    fitting = [file for file in files if file.fits(identity)]
-    fitting.sort(key=lambda file: (not file.is_of_revision(identity[2]), file.path))
-    if fitting and fitting[0].path != part.node.eds:
-        yield Write((*part.location, "eds"), str(fitting[0].path))
+    found = fitting(sorted(files, key=lambda file: file.path), identity)
+    if found and found[0].path != part.node.eds:
+        yield (*part.location, "eds"), str(found[0].path)
 
 
 def _units(part: Part, od: ObjectDictionary, now: Mapping[Key, bytes | None]) -> Iterator[Write]:
@@ -305,4 +301,4 @@ def _units(part: Part, od: ObjectDictionary, now: Mapping[Key, bytes | None]) ->
         ("rated_torque_Nm", 1000.0 * there.torque_Nm, 1000.0 * declared.torque_Nm),
     ):
         if not isclose(found, expected, rel_tol=1e-9):
-            yield Write((*part.location, "units", name), found)
+            yield (*part.location, "units", name), found

@@ -93,15 +93,9 @@ def _write(config: Path, found: Sequence[Drift], keys: Sequence[str]) -> list[st
             raise UnusableInputError(
                 "--write", f"'{key}' is nothing that can be written, expected one of: {known}, all"
             )
-    changes = {
-        change.location: change.value
-        for each in (possible.values() if "all" in keys else [possible[key] for key in keys])
-        for change in each.write
-    }
-    return [
-        f"{write_value(config, location, value)}: {'.'.join(location)} is {value} now"
-        for location, value in changes.items()
-    ]
+    chosen = possible.values() if "all" in keys else [possible[key] for key in keys]
+    changes = {location: value for each in chosen for location, value in each.write.items()}
+    return [f"{write_value(config, at, value)}: {'.'.join(at)} is {value} now" for at, value in changes.items()]
 
 
 def _as_data(
@@ -111,15 +105,7 @@ def _as_data(
         "last_run": None if last is None else str(last.folder.path),
         "drifted": bool(found),
         "drifts": [
-            {
-                "kind": each.kind,
-                "key": each.key,
-                "what": each.what,
-                "now": each.now,
-                "last_run": each.before,
-                "eds": each.by_file,
-                "write": {".".join(change.location): change.value for change in each.write},
-            }
+            {**vars(each), "write": {".".join(location): value for location, value in each.write.items()}}
             for each in found
         ],
         "written": list(written),

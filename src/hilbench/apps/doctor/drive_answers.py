@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from hilbench.apps.doctor.bench_subject import starter
 from hilbench.apps.doctor.drift import NodeAnswers
 from hilbench.apps.doctor.examination import PRESENT_S, start_nodes
 from hilbench.bench.lifecycle.in_process import InProcess
 from hilbench.bench.lifecycle.participants import check_in_process
+from hilbench.bench.lifecycle.startup import start_children
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.listening import listen, master_at_work, present
 from hilbench.canopen.master_guard import master_of
@@ -84,7 +85,7 @@ def read_stand(
         if start and ids and not present(link, ids, PRESENT_S):
             announce("start simulated hardware")
             fresh = simulated
-            if not start_nodes(link, ids, starter(config), config.master.boot_timeout_s, resources):
+            if not start_nodes(link, ids, partial(start_children, config), config.master.boot_timeout_s, resources):
                 raise BenchFaultError(f"simulated hardware is not there within {config.master.boot_timeout_s:g} s")
         announce("ask the drives")
         with SdoClient(open_python_can(bus, SDO_ANSWERS), config.master.sdo_timeout_s) as reader:

@@ -10,50 +10,26 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from hilbench.apps.canopen_tools.interface import read_interface
-from hilbench.apps.doctor.check_interface import InterfaceNeeds, check_interface
-from hilbench.apps.doctor.check_machine import Lateness, MachineNeeds, check_machine, measure_lateness, read_machine
-from hilbench.apps.doctor.check_stations import ExpectedNode, ask, check_node, check_received
+from hilbench.apps.doctor.check_interface import check_interface
+from hilbench.apps.doctor.check_machine import Lateness, check_machine, measure_lateness, read_machine
+from hilbench.apps.doctor.check_stations import ask, check_node, check_received
 from hilbench.apps.doctor.findings import Check, Finding, Level, error, ok, warning
+from hilbench.apps.doctor.subject import Start, Subject
 from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link, open_python_can
 from hilbench.canopen.listening import listen, present
 from hilbench.canopen.master_guard import master_of
 from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
 from hilbench.errors import BenchFaultError
-from hilbench.processes import ChildProcess
 
 _LISTEN_S = 1.0
 _MEASURE_S = 0.5
 #: For nodes of simulated hardware and twin to answer, s.
 PRESENT_S = 0.5
-
-
-@dataclass(frozen=True)
-class Subject:
-    """Subject of an examination; the defaults are those of a bench config, for one without a config."""
-
-    bus: BusAddress | None  #: None: the machine alone
-    realtime: bool
-    cycle_s: float = 0.002
-    frames_per_cycle: int = 16
-    bitrate_source: str = "as bus: bitrate: in the config"
-    master_id: int = 127
-    sdo_timeout_s: float = 1.0
-    boot_timeout_s: float = 20.0
-    nodes: Sequence[ExpectedNode] = field(default=())
-
-    @classmethod
-    def of_bus(cls, bus: BusAddress | None) -> Subject:
-        """A bus of which nothing else is known, or none: this machine."""
-        return cls(
-            bus,
-            realtime=bus is not None and bus.interface != "embedded",
-            bitrate_source="which is a bench's when its config names none",
-        )
 
 
 @dataclass(frozen=True)
@@ -73,50 +49,43 @@ class Examination:
         """No error was found."""
         return not self.count(Level.ERROR)
 
-    def count(self, level: Level) -> int:
+    def count(self, level: str) -> int:
         """Number of findings of this level."""
-        return sum(finding.level is level for finding in self.findings)
+        return sum(finding.level == level for finding in self.findings)
 
 
-Start = Callable[[Path], list[ChildProcess]]
-
-
-def examine(subject: Subject, *, start: Start | None, announce: Callable[[str], None]) -> Examination:
-    """Examine machine, interface and nodes. `start` starts the nodes that a run starts, when none of them is there."""
+def examine(subject: Subject, announce: Callable[[str], None]) -> Examination:
+    """Examine machine, interface and nodes."""
     announce("measure the timer")
     lateness = measure_lateness(subject.cycle_s, _MEASURE_S)
     bus = subject.bus
-    on_socketcan = bus is not None and bus.interface == "socketcan"
-    machine = check_machine(read_machine(), lateness, MachineNeeds(subject.realtime, subject.cycle_s, on_socketcan))
+    machine = check_machine(read_machine(), lateness, subject)
     if bus is None:
         return Examination(machine, lateness)
-    if bus.interface != "socketcan":
+    if not subject.on_socketcan:
         what = "embedded" if bus.interface == "embedded" else f"python-can's {bus.interface}"
         interface = [ok(Check.INTERFACE, str(bus), f"{what}: nothing to check")]
-        return Examination(machine + interface + _stations(subject, bus, start, announce), lateness)
-    needs = InterfaceNeeds(bus.bitrate, subject.frames_per_cycle, subject.bitrate_source)
+        return Examination(machine + interface + _stations(subject, bus, announce), lateness)
     before = read_interface(bus.channel)
-    interface = check_interface(before, before, needs)
+    interface = check_interface(before, before, subject)
     if any(finding.level is Level.ERROR for finding in interface):
         left_alone = warning(Check.BUS, str(bus), "not used: its interface is not right", "bus_left_alone")
         return Examination([*machine, *interface, left_alone], lateness)
-    stations = _stations(subject, bus, start, announce)
-    interface = check_interface(before, read_interface(bus.channel), needs)
+    stations = _stations(subject, bus, announce)
+    interface = check_interface(before, read_interface(bus.channel), subject)
     return Examination(machine + interface + stations, lateness)
 
 
-def _stations(subject: Subject, bus: BusAddress, start: Start | None, announce: Callable[[str], None]) -> list[Finding]:
+def _stations(subject: Subject, bus: BusAddress, announce: Callable[[str], None]) -> list[Finding]:
     """Findings on the bus and those on it."""
     try:
         with ExitStack() as resources:
-            return _on_bus(subject, bus, start, announce, resources)
+            return _on_bus(subject, bus, announce, resources)
     except BenchFaultError as fault:
         return [error(Check.BUS, str(bus), str(fault))]
 
 
-def _on_bus(
-    subject: Subject, bus: BusAddress, start: Start | None, announce: Callable[[str], None], resources: ExitStack
-) -> list[Finding]:
+def _on_bus(subject: Subject, bus: BusAddress, announce: Callable[[str], None], resources: ExitStack) -> list[Finding]:
     link = open_link(bus)
     resources.callback(link.close)
     announce(f"listen on {bus}")
@@ -128,9 +97,10 @@ def _on_bus(
     if not subject.nodes or claimed_by or received.signs_of_master(subject.master_id):
         return findings
     ours = [node.node_id for node in subject.nodes if node.ours]
-    if start is not None and ours and not present(link, ours, PRESENT_S):
+    if subject.start is not None and ours and not present(link, ours, PRESENT_S):
         announce("start simulated hardware and twin")
-        start_nodes(link, ours, start, subject.boot_timeout_s, resources)  # those not there are named when asked
+        # Those that are not there are named when asked.
+        start_nodes(link, ours, subject.start, subject.boot_timeout_s, resources)
     announce("ask the nodes")
     with SdoClient(open_python_can(bus, SDO_ANSWERS), subject.sdo_timeout_s) as reader:
         for node in subject.nodes:

@@ -85,5 +85,5 @@ def error(check: Check, subject: str, found: str, problem: str = "", **values: o
 def _problem(
     level: Level, check: Check, subject: str, found: str, problem: str, values: Mapping[str, object]
 ) -> Finding:
-    text = _texts()[problem or check]
+    text, values = _texts()[problem or check], {"name": subject, **values}
     return Finding(check, subject, level, found, text["expected"].format_map(values), text["advice"].format_map(values))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
@@ -15,7 +14,6 @@ from hilbench.errors import UnusableInputError
 if TYPE_CHECKING:
     from hilbench.apps.gateway.server import Gateway
     from hilbench.apps.gateway.session import Session
-    from hilbench.can.open import BusAddress
 
 
 #: Port of a CiA 309 gateway in CANopenNode's and others' examples; no number is assigned.
@@ -37,14 +35,18 @@ def gateway(
 
     Example: hilbench gateway --bus socketcan:can0
     """
-    from hilbench.apps.canopen_tools.attach import MASTER_ID, BusSession
+    from hilbench.apps.canopen_tools.attach import BusSession
     from hilbench.apps.gateway.session import GatewayNetwork, Session
     from hilbench.processes import stop_request
 
     with BusSession(config, bus) as on:
-        bench_id, stop = MASTER_ID if on.bench is None else on.bench.master.node_id, stop_request()
-        not_master = "the gateway is read-only" if read_only else _beside(on.bus, on, force=force)
-        network = on.enter_context(GatewayNetwork(on.bus, not_master, -1 if read_only else bench_id))
+        not_master, stop = "the gateway is read-only" if read_only else None, stop_request()
+        try:
+            if not read_only:
+                on.be_only_master("gateway", force=force)
+        except UnusableInputError as error:
+            not_master = f"clients may only read: {error}"
+        network = on.enter_context(GatewayNetwork(on.bus, not_master, -1 if read_only else on.master_id))
         server = _listening(host, port, lambda: Session(network, network.lss))
         on.callback(server.server_close)
         link = on.link()
@@ -53,17 +55,6 @@ def gateway(
         where = ":".join(map(str, server.server_address[:2]))
         print(f"{on.bus} is served at {where} (CiA 309-3); {not_master or 'clients may write'}", flush=True)
         server.follow(link, stop)
-
-
-def _beside(address: BusAddress, resources: ExitStack, *, force: bool) -> str | None:
-    """Be the bus' master, or say why clients can't write."""
-    from hilbench.apps.canopen_tools.attach import only_master
-
-    try:
-        resources.enter_context(only_master(address, None, "gateway", force=force))
-    except UnusableInputError as error:
-        return f"clients may only read: {error}"
-    return None
 
 
 def _listening(host: str, port: int, new_session: Callable[[], Session]) -> Gateway:

@@ -197,15 +197,13 @@ def _hexadecimal(code: int) -> TextForm:
 _BASE64 = TextForm(_parse_base64, lambda data: base64.b64encode(data).decode("ascii"))
 _TIME = TextForm(_parse_time, _show_time)
 
+_BITS: Final = (8, 16, 32, 64)
 #: By the names of CiA 309-3; x… and hex are CANopenNode's.
 _FORMS = {
     "b": TextForm(partial(_parse, DataType.BOOLEAN), lambda data: str(int(_decode(DataType.BOOLEAN, data) != 0))),
-    "i8": _number_form(DataType.INTEGER8), "i16": _number_form(DataType.INTEGER16),
-    "i32": _number_form(DataType.INTEGER32), "i64": _number_form(DataType.INTEGER64),
-    "u8": _number_form(DataType.UNSIGNED8), "u16": _number_form(DataType.UNSIGNED16),
-    "u32": _number_form(DataType.UNSIGNED32), "u64": _number_form(DataType.UNSIGNED64),
-    "x8": _hexadecimal(DataType.UNSIGNED8), "x16": _hexadecimal(DataType.UNSIGNED16),
-    "x32": _hexadecimal(DataType.UNSIGNED32), "x64": _hexadecimal(DataType.UNSIGNED64),
+    **{f"i{bits}": _number_form(DataType[f"INTEGER{bits}"]) for bits in _BITS},
+    **{f"u{bits}": _number_form(DataType[f"UNSIGNED{bits}"]) for bits in _BITS},
+    **{f"x{bits}": _hexadecimal(DataType[f"UNSIGNED{bits}"]) for bits in _BITS},
     "r32": _number_form(DataType.REAL32), "r64": _number_form(DataType.REAL64),
     "t": _TIME, "td": _TIME,
     "vs": TextForm(lambda text: text.encode("latin-1", errors="replace"), _show_text),

@@ -59,7 +59,7 @@ def history(
     stand = stand or (None if bench is None else bench.stand_name)
     expected = "QUANTITY=VALUE such as shaft.inertia_kg_m2=0.02"
     limits = dict(key_and_number("--limit", text, expected) for text in limit or ())
-    problems = entries.rebuild(path, stand, runs)[1] if rebuild else []
+    problems = entries.rebuild(path, stand, runs) if rebuild else []
     known = History(path).stands()
     if stand is not None and stand not in known:
         raise UnusableInputError(path, f"knows no stand '{stand}', expected one of: {', '.join(known) or 'none yet'}")

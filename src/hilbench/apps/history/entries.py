@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -54,25 +53,6 @@ class Commissioning(JsonFile):
     quantities: list[Quantity]
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """An estimate's channel, that of its deviation, and its name in the history."""
-
-    value: str
-    deviation: str
-    quantity: str
-    unit: str
-
-
-def estimates(channels: Iterable[str]) -> Iterator[Estimate]:
-    """Estimates in the channels of a recording."""
-    for name in channels:
-        if match := _CHANNEL.fullmatch(name):
-            symbol, number, unit = match[1], match[2] or "", match[3]
-            of = place({"span": number}) if symbol == "E" else "shaft"
-            yield Estimate(name, f"{symbol}{number}_sd_{unit}", f"{of}.{_ESTIMATED[symbol]}_{unit}", unit_of(name))
-
-
 def place(effect: Mapping[str, Any]) -> str:
     """Place of an effect as a diagnosis writes it, in the path of a quantity."""
     if effect.get("axis"):
@@ -94,11 +74,10 @@ def remember(folder: RunFolder) -> Path | None:
     return path
 
 
-def rebuild(path: Path, stand: str | None, runs: Path) -> tuple[int, list[str]]:
+def rebuild(path: Path, stand: str | None, runs: Path) -> list[str]:
     """Make a history, or one stand's part of it, from the run folders in `runs`.
 
-    Returns the number of its entries, and a line for each folder that could not be read. Raises UnusableInputError for
-    no folder `runs`.
+    Returns a line for each folder that could not be read. Raises UnusableInputError for no folder `runs`.
     """
     if not runs.is_dir():
         raise UnusableInputError(runs, "no such folder, expected that in which the run folders are")
@@ -115,7 +94,7 @@ def rebuild(path: Path, stand: str | None, runs: Path) -> tuple[int, list[str]]:
         except UnusableInputError as error:
             problems.append(str(error))
     History(path).replace_all(stand, entries)
-    return len(entries), problems
+    return problems
 
 
 def entries_of(folder: RunFolder, config: BenchConfig) -> Iterator[Entry]:
@@ -170,13 +149,16 @@ def _of_twin(recording: Recording) -> Iterator[Quantity]:
     if not good.any():
         return
     last = int(np.flatnonzero(good)[-1])
-    for estimate in estimates(recording.channels):
-        if estimate.deviation not in recording:
+    for name in recording.channels:
+        match = _CHANNEL.fullmatch(name)
+        if match is None or (deviation := f"{match[1]}{match[2] or ''}_sd_{match[3]}") not in recording:
             continue
-        values = np.asarray(recording[estimate.value], np.float64)
-        sd = np.asarray(recording[estimate.deviation], np.float64)[last]
+        values = np.asarray(recording[name], np.float64)
+        sd = np.asarray(recording[deviation], np.float64)[last]
         if np.isfinite(values[last]) and np.isfinite(sd) and np.ptp(values[good]) > 0.0:
-            yield Quantity(estimate.quantity, float(values[last]), float(sd), estimate.unit)
+            of = place({"span": match[2]}) if match[1] == "E" else "shaft"
+            estimated = f"{of}.{_ESTIMATED[match[1]]}_{match[3]}"
+            yield Quantity(estimated, float(values[last]), float(sd), unit_of(name))
 
 
 def _beside(folder: RunFolder) -> Iterator[Quantity]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -82,7 +82,7 @@ def _show(made: Sweep) -> None:
 
     from hilbench.apps.cli.tables import table
 
-    metrics, rows = made.shown_metrics(), [made.rows[number] for number in sorted(made.rows)]
+    metrics, rows = made.shown_metrics(), made.sorted_rows()
     lines = []
     for row in rows[:_MOST_ROWS]:
         verdict = {True: "passed", None: "completed"}.get(row.passed, f"exit code {row.exit_code}")
@@ -96,13 +96,35 @@ def _show(made: Sweep) -> None:
 
 
 def _draw(made: Sweep) -> Path | None:
-    """The picture of the judged metrics against the numbers that were varied."""
-    rows = [made.rows[number] for number in sorted(made.rows)]
+    """Write the picture (SVG) of the judged metrics against the numbers that were varied; runs that did not pass are
+    marked. None where there is nothing to draw. Raises UnusableInputError if it can't be written."""
+    rows = made.sorted_rows()
     varied = {name: [_number(row.changes.get(name, "")) for row in rows] for name in made.varied}
-    varied = {name: values for name, values in varied.items() if len({*values} - {None}) > 1}
     metrics = {name: [row.metrics.get(name) for row in rows] for name in made.shown_metrics()}
-    metrics = {name: values for name, values in metrics.items() if any(value is not None for value in values)}
-    return write_sweep_picture(varied, metrics, [row.passed for row in rows], made.out / "results.svg")
+    across = [name for name, values in varied.items() if len({*values} - {None}) > 1][:_MOST_VARIED]
+    down = [name for name, values in metrics.items() if {*values} != {None}][:_MOST_METRICS]
+    if not across or not down:
+        return None
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    from hilbench.files import written_whole
+
+    passed, path = [row.passed for row in rows], made.out / "results.svg"
+    style: Any = {**dict(matplotlib.rcParamsDefault), "font.size": 8.0, "svg.hashsalt": "hilbench-sweep"}
+    with matplotlib.rc_context(style), written_whole(path) as partial:
+        figure = Figure(figsize=(_PANEL_IN[0] * len(across), _PANEL_IN[1] * len(down)), layout="constrained")
+        FigureCanvasSVG(figure)
+        panels = figure.subplots(len(down), len(across), squeeze=False, sharex="col", sharey="row")
+        for row, metric in enumerate(down):
+            for column, name in enumerate(across):
+                _draw_panel(panels[row][column], varied[name], metrics[metric], passed)
+            panels[row][0].set_ylabel(metric)
+        for column, name in enumerate(across):
+            panels[-1][column].set_xlabel(name)
+        figure.savefig(partial, format="svg", metadata={"Date": None})
+    return path
 
 
 def _number(text: str) -> float | None:
@@ -143,37 +165,6 @@ Values = Sequence[float | None]
 #: Panels beside and above each other, at most: beyond, nobody reads them.
 _MOST_VARIED, _MOST_METRICS = 4, 6
 _PANEL_IN: Final = (3.2, 2.2)
-
-
-def write_sweep_picture(
-    varied: Mapping[str, Values], metrics: Mapping[str, Values], passed: Sequence[bool | None], path: Path
-) -> Path | None:
-    """Write the picture (SVG) of `varied` and `metrics`, each a number a run; runs that did not pass are marked.
-
-    None where there is nothing to draw. Raises UnusableInputError if it can't be written.
-    """
-    across, down = list(varied)[:_MOST_VARIED], list(metrics)[:_MOST_METRICS]
-    if not across or not down:
-        return None
-    import matplotlib
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    from hilbench.files import written_whole
-
-    style: Any = {**dict(matplotlib.rcParamsDefault), "font.size": 8.0, "svg.hashsalt": "hilbench-sweep"}
-    with matplotlib.rc_context(style), written_whole(path) as partial:
-        figure = Figure(figsize=(_PANEL_IN[0] * len(across), _PANEL_IN[1] * len(down)), layout="constrained")
-        FigureCanvasSVG(figure)
-        panels = figure.subplots(len(down), len(across), squeeze=False, sharex="col", sharey="row")
-        for row, metric in enumerate(down):
-            for column, name in enumerate(across):
-                _draw_panel(panels[row][column], varied[name], metrics[metric], passed)
-            panels[row][0].set_ylabel(metric)
-        for column, name in enumerate(across):
-            panels[-1][column].set_xlabel(name)
-        figure.savefig(partial, format="svg", metadata={"Date": None})
-    return path
 
 
 def _draw_panel(axes: Any, x: Values, y: Values, passed: Sequence[bool | None]) -> None:

@@ -323,6 +323,10 @@ class Sweep:
             arguments += ["--bus", f"embedded:sweep{os.getpid()}n{number}"]
         return Job(number, changes, tuple(arguments), str(folder))
 
+    def sorted_rows(self) -> list[Row]:
+        """The rows in the order of their numbers."""
+        return [row for _, row in sorted(self.rows.items())]
+
     @property
     def varied(self) -> list[str]:
         """The keys of the config that were varied."""
@@ -350,7 +354,7 @@ class Sweep:
             {"number": row.number, **row.changes, "exit_code": row.exit_code, "passed": row.passed}
             | row.metrics
             | {"run": row.run, "said": row.said}
-            for _, row in sorted(self.rows.items())
+            for row in self.sorted_rows()
         ]
 
     def write_parquet(self) -> Path | None:
@@ -366,7 +370,7 @@ class Sweep:
 
     def as_data(self) -> list[dict[str, Any]]:
         """The table for machines."""
-        return [{**asdict(self.rows[number]), "passed": self.rows[number].passed} for number in sorted(self.rows)]
+        return [{**asdict(row), "passed": row.passed} for row in self.sorted_rows()]
 
 
 def _texts(changes: dict[str, str]) -> list[str]:
