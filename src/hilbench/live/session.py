@@ -177,7 +177,7 @@ class Session:
         rows = self._window.rows(self._window.end - self._cycles(_FROM_S), end)
         if self._watch.in_a_row or len(rows) < self._cycles(_FROM_S - _TO_S):
             return
-        found = np.array([np.median(self._window.column(rows, name)) for name in self._machine.estimated])
+        found = np.median(self._window.columns(rows, self._machine.estimated), axis=0)
         # More at once, and nothing parts: the twin has mistaken something else for it, and will find out.
         self._use_estimate(np.where(np.abs(found / self._estimate - 1.0) < _DRIFT, found, self._estimate))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -43,6 +43,10 @@ class Window:
     def column(self, rows: Array, name: str) -> Array:
         """One signal (n,) of rows (n, signals)."""
         return rows[:, self._column[name]]
+
+    def columns(self, rows: Array, names: Iterable[str]) -> Array:
+        """(n, names): some signals of rows (n, signals)."""
+        return np.column_stack([self.column(rows, name) for name in names])
 
     def rows(self, first: int, end: int) -> Array:
         """(n, signals): the rows of the cycles from `first` to before `end` that are kept."""
