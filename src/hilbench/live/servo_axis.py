@@ -12,8 +12,7 @@ from hilbench.arrays import Array, Rows
 from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured
-from hilbench.live.machine import SHORT, LiveMachine
-from hilbench.live.segment import Segment
+from hilbench.live.machine import SHORT, LiveMachine, Segment
 from hilbench.live.window import Window
 from hilbench.plant.model_file import Machine
 from hilbench.plant.servo_axis import layout as lay
