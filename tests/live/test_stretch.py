@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.predictor import deviations_of
-from hilbench.live.segment import Segment
+from hilbench.live.machine import Segment
 from hilbench.live.web_line import LiveLine
 from hilbench.live.window import Window
 from hilbench.plant.web_line.emulation import Emulation, simulate_emulated

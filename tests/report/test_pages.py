@@ -12,6 +12,7 @@ from tests.report.parsed import EVIL, parsed
 from hilbench.apps.compare.page import ComparedRun, write_compare_page
 from hilbench.apps.diagnose.page import Found, write_diagnosis_page
 from hilbench.apps.report import page as report_page
+from hilbench.apps.report.panel import ShownRun
 from hilbench.apps.sync.page import write_comparison
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Profile, Unobservable, Value
 from hilbench.diagnosis.residual_analysis import Misfit
@@ -28,7 +29,7 @@ T_S = np.linspace(0.0, 10.0, 2000)
 def compared(path: Path) -> Path:
     recording = Recording({"t_s": T_S, "F_true_N": 80.0 + np.sin(T_S)})
     values = [{f"noise{EVIL}": 1.5}, {f"noise{EVIL}": 2.25}]
-    runs = [ComparedRun(f"run {EVIL}", recording, metrics, "passed") for metrics in values]
+    runs = [ComparedRun(f"run {EVIL}", ShownRun(recording), metrics, "passed") for metrics in values]
     return write_compare_page(runs, path)
 
 

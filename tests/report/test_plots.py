@@ -19,8 +19,7 @@ def test_axes_beside_each_other_are_three_at_most_and_say_what_they_show_where_r
     charts = [Chart("tension in N", [Curve("true", t_s, 80.0 + t_s, "#000000")]) for _ in range(count)]
     titles = [f"span {number}" for number in range(1, count + 1)]
     picture = drawn(Picture("zoom1", "Step 1", "", charts), side_by_side=titles)
-    assert picture.drawing is not None
-    svg = picture.drawing.for_page()
+    svg = picture.svg
     labels = re.findall(r"rotate\(-90 ([\d.]+) ([\d.]+)\)\">tension in N<", svg)
     assert len(labels) == count
     assert len({round(float(y)) for _, y in labels}) == rows

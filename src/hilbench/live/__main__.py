@@ -9,8 +9,7 @@ from typing import get_args
 from hilbench.bench.reports.diagnosis_updates import ProposalOutcome, Ready, Samples
 from hilbench.cpu_throttle import throttle_cpu
 from hilbench.exit_status import ended
-from hilbench.live.session import Session
-from hilbench.live.warm_up import warm_up
+from hilbench.live.session import Session, warm_up
 from hilbench.machine_kinds import machine_part
 from hilbench.real_time import give_way
 from hilbench.topology.blocks import Pace

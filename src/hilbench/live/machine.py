@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar, Final, Protocol
 
 import numpy as np
@@ -11,7 +12,10 @@ import numpy as np
 from hilbench.arrays import Array, Rows
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.machines import AnyEmulation
-from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.measured import Measured, measured_from
+from hilbench.diagnosis.noise import rms
+from hilbench.diagnosis.predictor import Predictor, choice, deviations_of, torques_of
+from hilbench.errors import UnusableInputError
 from hilbench.live.window import Window
 from hilbench.plant.model_file import Machine
 
@@ -33,17 +37,17 @@ class Gap(Protocol):
 
 
 class LiveMachine(ABC):
-    """One machine of N axes, as it was configured. What the twin estimates are M numbers, in units of their signals."""
+    """One machine of N axes, as it was configured; `emulation` by load motors, None where the machine is real. What the
+    twin estimates are M numbers, in units of their signals."""
 
     moves: ClassVar[float]  #: speed below which friction is not one law but many
-    emulation: AnyEmulation | None  #: by load motors; None where the machine is real
     speeds: Sequence[str]  #: channels of the axes
     needed: Sequence[str]  #: signals that a gap is made from, and `speeds`
     usual_Nm: Array  #: (N,) torques that are usual at the motors
     estimated: Sequence[str]  #: the signals of what the twin estimates (M,)
 
-    def __init__(self, configured: Machine) -> None:
-        self.configured = configured
+    def __init__(self, configured: Machine, emulation: AnyEmulation | None, cycle_s: float) -> None:
+        self.configured, self.emulation, self.cycle_s = configured, emulation, cycle_s
 
     @abstractmethod
     def gap(self, model: Machine) -> Gap:
@@ -84,10 +88,14 @@ class LiveMachine(ABC):
         that. Raises UnusableInputError for what can't be diagnosed."""
         return known
 
-    @abstractmethod
     def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
         """Measured data of these cycles, for an effect that began in cycle `begun`; before that the model held.
         Raises UnusableInputError for what can't be diagnosed."""
+        data = measured_from(window.recording(first, end), model, "the running bench")
+        known = window.known(first, end)
+        if len(known) != len(data.t_s):
+            raise UnusableInputError("the running bench", "rows could not be placed in time, expected one each cycle")
+        return replace(data, left_out=~known | data.left_out)
 
     @abstractmethod
     def steady(self, chunk_s: float) -> tuple[float, dict[str, float]]:
@@ -97,3 +105,37 @@ class LiveMachine(ABC):
     def packed(self, model: Machine) -> Array:
         """(P,): as a predictor takes it."""
         return np.asarray(machines.of_kind(model).pack(model))
+
+
+#: Share of its noise by which the gap of a torque is smaller, at least, with a changed model.
+_SHOWS: Final = 0.02
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Data from a cycle on, and their prediction by a model."""
+
+    data: Measured
+    predictor: Predictor
+
+    @classmethod
+    def of(cls, machine: LiveMachine, window: Window, model: Machine, first: int, end: int, begun: int) -> Segment:
+        """The cycles from `first` to before `end`; `begun` as in `LiveMachine.data_of`. Raises UnusableInputError for
+        what can't be diagnosed."""
+        data = machine.data_of(window, model, first, end, begun)
+        return cls(data, choice(model, data, machine.emulation).predictor)
+
+    def residual(self, parameters: Array) -> Array:
+        """(signals, n): measured less predicted."""
+        return np.asarray(self.predictor.measured - self.predictor.predict(parameters[None])[0])
+
+    def misfit(self, residual: Array) -> float:
+        """Sum of squares of a residual in units of what a right model leaves, on the rows that count."""
+        return float(np.sum((residual / deviations_of(self.predictor)[:, None])[:, self.predictor.rows] ** 2))
+
+
+def shows_in_torque(segment: Segment, before: Array, after: Array) -> bool:
+    """True if a change of the model reduces the gap of a torque: of residuals (signals, n) before and after it."""
+    rows, predictor = segment.predictor.rows, segment.predictor
+    less_Nm = {k: rms(before[k, rows]) - rms(after[k, rows]) for k in torques_of(predictor)}
+    return any(less > _SHOWS * predictor.floor(k) for k, less in less_Nm.items())

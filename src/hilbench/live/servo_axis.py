@@ -10,14 +10,12 @@ import numpy as np
 
 from hilbench.arrays import Array, Rows
 from hilbench.diagnosis.emulated import emulation_of
-from hilbench.diagnosis.measured import Measured, measured_from
-from hilbench.errors import UnusableInputError
-from hilbench.live.machine import SHORT, LiveMachine
-from hilbench.live.segment import Segment
+from hilbench.diagnosis.machines import AnyEmulation
+from hilbench.diagnosis.measured import Measured
+from hilbench.live.machine import SHORT, LiveMachine, Segment
 from hilbench.live.window import Window
 from hilbench.plant.model_file import Machine
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.shaft import look
 from hilbench.plant.servo_axis.sizes import machine_sizes
@@ -39,9 +37,7 @@ _TURNS_RAD_S: Final = 20.0
 
 def machine(config: BenchConfig) -> LiveShaft:
     """What a session diagnoses."""
-    emulation = emulation_of(config) if config.load_motors else None
-    assert emulation is None or isinstance(emulation, ShaftEmulation), "of this machine"
-    return LiveShaft(config.servo_axis, emulation, config.cycle_time_s)
+    return LiveShaft(config.servo_axis, emulation_of(config) if config.load_motors else None, config.cycle_time_s)
 
 
 def _shaft(model: Machine) -> ServoAxisParameters:
@@ -56,22 +52,20 @@ def _inertia_factor(model: Machine, time_s: float) -> float:
 
 
 class LiveShaft(LiveMachine):
-    """A `LiveMachine` whose twin estimates the inertia. `emulation`: how the load motor emulates what is not there."""
+    """A `LiveMachine` whose twin estimates the inertia."""
 
     speeds = ("v1_rad_s",)
     needed = ("x1_rad", *speeds, "tau1_Nm")
     moves = 0.5  #: rad/s
     estimated = ("J_sim_kg_m2",)
 
-    def __init__(self, model: ServoAxisParameters, emulation: ShaftEmulation | None, cycle_s: float) -> None:
-        super().__init__(model)
-        self.emulation = emulation
+    def __init__(self, model: ServoAxisParameters, emulation: AnyEmulation | None, cycle_s: float) -> None:
+        super().__init__(model, emulation, cycle_s)
         self.usual_Nm = np.array([machine_sizes(model).force_N])
-        self._cycle_s = cycle_s
 
     def gap(self, model: Machine) -> ShaftGap:
         """Residual generator of one model."""
-        return ShaftGap(_shaft(model), self._cycle_s)
+        return ShaftGap(_shaft(model), self.cycle_s)
 
     def estimate_of(self, model: Machine) -> Array:
         """Inertia (1,) as the model has it, kg·m²."""
@@ -115,11 +109,8 @@ class LiveShaft(LiveMachine):
     def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
         """Measured data of these cycles, of a shaft, which has no memory of earlier ones. Raises UnusableInputError
         for what can't be diagnosed."""
-        data = measured_from(window.recording(first, end), model, "the running bench")
-        known = window.known(first, end)
-        if len(known) != len(data.t_s):
-            raise UnusableInputError("the running bench", "rows could not be placed in time, expected one each cycle")
-        return replace(data, left_out=~known | data.left_out | self._pushed(window.measured(first, end)))
+        data = super().data_of(window, model, first, end, begun)
+        return replace(data, left_out=data.left_out | self._pushed(window.measured(first, end)))
 
     def _pushed(self, measured: Rows) -> Rows:
         """(n,): several rows in a row that were not `measured` in time (n,), and those behind them. A load motor that
@@ -127,7 +118,7 @@ class LiveShaft(LiveMachine):
         late = np.convolve(~measured, np.ones(_LATE), "valid") > _LATE - 0.5
         pushed = np.zeros(len(measured), bool)
         for row in np.flatnonzero(late):
-            pushed[row : row + _LATE + round(_PUSHED_S / self._cycle_s)] = True
+            pushed[row : row + _LATE + round(_PUSHED_S / self.cycle_s)] = True
         return pushed
 
     def steady(self, chunk_s: float) -> tuple[float, dict[str, float]]:

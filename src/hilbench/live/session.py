@@ -9,8 +9,10 @@ What is decided depends on the samples alone, not on how long anything took.
 
 from __future__ import annotations
 
+import json
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -23,24 +25,68 @@ from hilbench.bench.reports.diagnosis_updates import (
     DiagnosisUpdate,
     FoundEffect,
     FoundGap,
+    FoundValue,
     GapRow,
     ProposalOutcome,
     Samples,
 )
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.diagnosis import Diagnosis, diagnosed
+from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnosed
+from hilbench.diagnosis.measured import SHORTEST_S
 from hilbench.diagnosis.noise import floor, rms
 from hilbench.diagnosis.predictor import deviations_of, torques_of
 from hilbench.diagnosis.residual_analysis import exceeds_noise, in_floors, misfits
 from hilbench.errors import UnusableInputError
-from hilbench.live import models
-from hilbench.live.machine import SHORT, LiveMachine
-from hilbench.live.segment import Segment, shows_in_torque
+from hilbench.live.machine import SHORT, LiveMachine, Segment, shows_in_torque
 from hilbench.live.watch import ROW, Piece, Watch
 from hilbench.live.window import Window
+from hilbench.plant.effect import Effect, MachineKind, ProbeOver, Section
+from hilbench.plant.effects import find_effect
 from hilbench.plant.model_file import Machine
+from hilbench.plant.parameters import EffectEntry
 from hilbench.topology.live_config import LiveDiagnosisConfig
 from hilbench.twin.model_switch import with_effects
+
+#: Effects that begin at a time, or swing with it, by a clock that a window and a twin do not share.
+_BY_THE_CLOCK = (ProbeOver.TIME, ProbeOver.ONSET, ProbeOver.ONSET_AND_DURATION, ProbeOver.PASSAGE)
+
+
+def _why_not_carried(effect_id: str, kind: MachineKind) -> str:
+    """Why it does not mean the same in a twin as in a window of data; "" where it does."""
+    probe = find_effect(effect_id, kind).probe
+    by_the_clock = probe is not None and probe.over in _BY_THE_CLOCK
+    return "it goes by a clock that the twin does not have" if by_the_clock else ""
+
+
+def _as_text(model: Machine, configured: Machine) -> str:
+    """Effects as the twin reads them; "" for those that it was configured with."""
+    if model.effects == configured.effects:
+        return ""
+    return json.dumps([entry.model_dump() for entry in model.effects], separators=(",", ":"))
+
+
+def _found_effect(named: NamedEffect, model: Machine) -> FoundEffect:
+    """Effect that a model lacks, as reported to the bench."""
+    values = {name: FoundValue(value.value, value.ci95, value.unit) for name, value in named.parameters.items()}
+    section = _section(find_effect(named.effect, model.machine_kind), named.section, model)
+    return FoundEffect(named.effect, named.axis, section, values, tuple(named.tied_with))
+
+
+def _of_entry(entry: EffectEntry, model: Machine) -> FoundEffect:
+    """An effect of a model, whose values are what they are."""
+    effect = find_effect(entry.effect, model.machine_kind)
+    values = {
+        name: FoundValue(value, (value, value), effect.parameter(name).unit) for name, value in entry.parameters.items()
+    }
+    return FoundEffect(entry.effect, entry.axis, _section(effect, entry.section, model), values)
+
+
+def _section(effect: Effect, section: Section | None, model: Machine) -> int | None:
+    """The number of the section that an effect is in: of the only one 1, None for one that is in all of them."""
+    if not effect.per_section:
+        return None
+    return 1 if model.span_count == 1 else section if isinstance(section, int) else None
+
 
 #: From the first piece that parts until the transient of what happened is over, s.
 _SETTLED_S: Final = 1.0
@@ -136,7 +182,7 @@ class Session:
     def outcome(self, outcome: ProposalOutcome) -> None:
         """Take the outcome or the announcement of a model change."""
         if outcome.what == "refused":
-            self._rest_until_it_ends()
+            self._state = "waiting"
             return
         self._use(with_effects(self._configured, outcome.model))
 
@@ -159,10 +205,6 @@ class Session:
         self._watch = anew
         self._state, self._case = "watching", None
 
-    def _rest_until_it_ends(self) -> None:
-        """Report nothing more of the present gap."""
-        self._state = "waiting"
-
     def _look(self) -> None:
         if self._watch.in_a_row < ROW:
             self._follow_estimate()
@@ -177,7 +219,7 @@ class Session:
         rows = self._window.rows(self._window.end - self._cycles(_FROM_S), end)
         if self._watch.in_a_row or len(rows) < self._cycles(_FROM_S - _TO_S):
             return
-        found = np.array([np.median(self._window.column(rows, name)) for name in self._machine.estimated])
+        found = np.median(self._window.columns(rows, self._machine.estimated), axis=0)
         # More at once, and nothing parts: the twin has mistaken something else for it, and will find out.
         self._use_estimate(np.where(np.abs(found / self._estimate - 1.0) < _DRIFT, found, self._estimate))
 
@@ -208,7 +250,7 @@ class Session:
             simpler = self._explained_without(before, first, end, case.begun)
             if simpler is not None:
                 without = [entry for entry in self._in_use.effects if entry not in simpler.effects]
-                gone = tuple(models.of_entry(entry, self._configured) for entry in without)
+                gone = tuple(_of_entry(entry, self._configured) for entry in without)
                 self._found(replace(case, candidate=simpler, gone=gone, trial=end))
                 return
             data = self._machine.data_of(self._window, before, first, end, case.begun)
@@ -218,7 +260,7 @@ class Session:
             found = diagnosed(replace(data, settled=settled), before, emulation=self._machine.emulation)
         except UnusableInputError as error:
             self._send("ended", case.begun, f"can't be diagnosed: {error}")
-            self._rest_until_it_ends()
+            self._state = "waiting"
             return
         self._judge(found, case, end)
 
@@ -268,12 +310,12 @@ class Session:
         if undecided:
             if case.lacking >= self._longest:
                 self._send("unknown", case.begun, "no effect explains for certain what the model lacks")
-                self._rest_until_it_ends()
+                self._state = "waiting"
             else:
                 self._case = replace(case, lacking=2 * case.lacking)
             return
         candidate = self._machine.without_estimate(found.model)
-        effects = tuple(models.found_effect(each, self._configured) for each in structure)
+        effects = tuple(_found_effect(each, self._configured) for each in structure)
         self._found(replace(case, candidate=candidate, effects=effects, trial=end))
 
     def _found(self, case: _Case) -> None:
@@ -353,11 +395,11 @@ class Session:
         assert case.candidate is not None
         self._state = "waiting"
         kind = self._configured.machine_kind
-        why = next(filter(None, (models.why_not_carried(effect.effect, kind) for effect in case.effects)), "")
+        why = next(filter(None, (_why_not_carried(effect.effect, kind) for effect in case.effects)), "")
         if why:
             self._send("ended", case.begun, f"{why}: the model stays as it is")
             return
-        text = models.as_text(case.candidate, self._configured)
+        text = _as_text(case.candidate, self._configured)
         smaller = f"{gap.signal} {gap.before:.3g} → {gap.after:.3g} {gap.unit} on new data, noise {gap.noise_floor:.3g}"
         news = DiagnosisUpdate(
             "decided", self._window.sync(case.begun), f"decided: {smaller}", case.effects, case.gone, text, gap
@@ -396,3 +438,35 @@ def _place(effect: FoundEffect) -> str:
 def _text(effect: FoundEffect) -> str:
     sizes = (f"{name} {value.value:.4g}" for name, value in effect.parameters.items())
     return f"{_place(effect)} ({', '.join(sizes)})"
+
+
+#: Noise of the torques, N·m.
+_NOISE_Nm: Final = 0.05
+#: What the machine did before the segment that is diagnosed, and that, s.
+_BEFORE_S, _STRETCH_S = 2.0, SHORTEST_S + 0.5
+
+
+def warm_up(names: Sequence[str], machine: LiveMachine, config: LiveDiagnosisConfig, cycle_s: float) -> None:
+    """Compile and load a `Session` with these arguments; nothing else is kept."""
+    first, count = round(_BEFORE_S / cycle_s), round((_BEFORE_S + _STRETCH_S) / cycle_s)
+    noise, t_s = np.random.default_rng(0), cycle_s * np.arange(count)
+    speed, steady = machine.steady(CHUNK_CYCLES * cycle_s)
+    steady |= dict(zip(machine.estimated, machine.estimate_of(machine.configured).tolist(), strict=True))
+    channels = {name: np.full(count, steady.get(name, 0.0)) for name in names}
+    channels["t_s"] += t_s
+    for name, values in channels.items():
+        if name.startswith("x"):
+            values += speed * t_s
+        elif name.startswith("v"):
+            values += speed
+        elif name.startswith("tau"):
+            values += _NOISE_Nm * noise.standard_normal(count)
+    rows = np.column_stack(list(channels.values()))
+    session = Session(names, machine, config, cycle_s)
+    for end in range(CHUNK_CYCLES, (ROW + 1) * CHUNK_CYCLES, CHUNK_CYCLES):
+        session.samples(Samples.of(end - 1, rows[end - CHUNK_CYCLES : end]))
+    window = Window(names, count, cycle_s)
+    window.add(count - 1, Samples.of(count - 1, rows).rows)
+    with suppress(UnusableInputError):  # of made-up data nothing has to come
+        segment = Segment.of(machine, window, machine.configured, first, count, 0)
+        segment.residual(machine.packed(machine.configured))

@@ -47,6 +47,10 @@ class Crossing:
         unit = f" {self.watched.unit}".rstrip()
         return f"{self.watched.name} beyond its {self.level} level {self.limit:g}{unit}"
 
+    def expected_from(self, now_s: float) -> str:
+        """When to expect it, and how likely it is."""
+        return f"{self} in {self.expected_s - now_s:.1f} s, probability {100 * self.probability:.0f} %"
+
 
 @dataclass(frozen=True)
 class Outlook:

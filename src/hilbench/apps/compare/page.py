@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from hilbench.apps.report.chart import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, Chart, Curve
 from hilbench.apps.report.page import quantity, write_page
 from hilbench.apps.report.panel import ShownRun, recorded_panels
 from hilbench.apps.report.plots import Picture, drawn
 from hilbench.errors import UnusableInputError
-from hilbench.results.recording import Recording, read_recording
+from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.criteria import RunVerdict
@@ -30,7 +28,7 @@ class ComparedRun:
     """A run folder with what is compared of it."""
 
     name: str
-    recording: Recording
+    shown: ShownRun
     metrics: dict[str, float | None]
     verdict: RunVerdict
 
@@ -49,12 +47,13 @@ def read_runs(paths: Sequence[Path]) -> list[ComparedRun]:
     """Read run folders. Raises UnusableInputError for one that is none, and for fewer than two or too many."""
     if not 2 <= len(paths) <= MOST_RUNS:
         raise UnusableInputError("RUN", f"{len(paths)} given, expected 2 to {MOST_RUNS} run folders")
-    runs = []
-    for path in paths:
-        folder = RunFolder.open(path)
-        result = Result.read(folder.result)
-        runs.append(ComparedRun(folder.name, read_recording(folder.recording), result.metrics, result.verdict))
-    return runs
+    return [_read(RunFolder.open(path)) for path in paths]
+
+
+def _read(folder: RunFolder) -> ComparedRun:
+    result, recording = Result.read(folder.result), read_recording(folder.recording)
+    times_s = [(event.start_s, event.end_s) for event in find_events(recording.channels)]
+    return ComparedRun(folder.name, ShownRun.of(recording, times_s), result.metrics, result.verdict)
 
 
 def metric_rows(runs: Sequence[ComparedRun]) -> list[MetricRow]:
@@ -90,19 +89,12 @@ def labels(runs: Sequence[ComparedRun]) -> list[str]:
 def _pictures(runs: Sequence[ComparedRun]) -> list[Picture]:
     """Pictures by which runs are compared, those of the first run's machine."""
     pictures = []
-    for panel in recorded_panels(runs[0].recording).panels:
-        found = [
-            Curve(letter, run.recording.time_s, values / panel.si_per_unit, colour, 1.2)
-            for letter, run, colour in zip(labels(runs), runs, _COLOURS, strict=False)
-            if panel.compared is not None and (values := panel.compared.of(_shown(run.recording))) is not None
-        ]
-        if found and panel.compared is not None:
-            chart = Chart(panel.label, found)
-            pictures.append(drawn(Picture(f"compare-{panel.name}", panel.compared.title, "", [chart])))
+    for panel in recorded_panels(runs[0].shown.recording).panels:
+        compared, found = panel.compared, list[Curve]()
+        for letter, run, colour in zip(labels(runs), runs, _COLOURS, strict=False):
+            if compared is not None and (values := compared.of(run.shown)) is not None:
+                found.append(Curve(letter, run.shown.t_s, values / panel.si_per_unit, colour, 1.2))
+        if compared is not None and found:
+            picture = Picture(f"compare-{panel.name}", compared.title, charts=[Chart(panel.label, found)])
+            pictures.append(drawn(picture))
     return pictures
-
-
-def _shown(recording: Recording) -> ShownRun:
-    events = find_events(recording.channels)
-    breaks = [int(at) for each in events for at in np.searchsorted(recording.time_s, (each.start_s, each.end_s))]
-    return ShownRun(recording, breaks)

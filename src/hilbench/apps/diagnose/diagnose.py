@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,9 @@ from hilbench.diagnosis.next_experiment import Step, proposed, write_steps
 from hilbench.diagnosis.web_line_bench_gap import LiveGap, live_gap, run_bench
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
-from hilbench.plant.model_file import write_model
+from hilbench.plant.model_file import Machine, write_model
 from hilbench.results.recording import Recording, read_section
+from hilbench.results.run import RunOutcome
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import LoadedConfig, write_config_over
 from hilbench.topology.config import BenchConfig
@@ -34,15 +36,6 @@ from hilbench.topology.config import BenchConfig
 _WIDTH = 100
 #: Runs of the bench after the first, at most, until nothing is tied.
 _MOST_ROUNDS = 3
-
-
-@dataclass
-class _Files:
-    """Files written into the folder of ``--out``."""
-
-    page: Path
-    model: Path
-    config: Path | None
 
 
 def in_a_recording(source: Path, model_path: Path | None, progress: ProgressDisplay) -> Found:
@@ -66,7 +59,7 @@ def _section_of(source: Path) -> Recording:
 def show_and_keep(found: Found, source: Path, out: Path | None, next_experiment: Path | None, *, as_json: bool) -> None:
     """Print what was found, write page, extended model and extended config into `out`, and steps that would tell more
     to `next_experiment`. Raises UnusableInputError, and the fault of a run with the extended model when all is done."""
-    files = None if out is None else _write(found, source, out)
+    files = {} if out is None else _write(found, source, out)
     if next_experiment is not None and found.proposed is not None:
         write_steps(next_experiment, found.proposed, found.config)
     written = next_experiment if found.proposed is not None else None
@@ -130,36 +123,33 @@ def found_on_the_bench(
 
     until_clear: first with further steps as well, each time those that would tell most, until nothing is tied.
     """
-    runs = (out or Path()) / "runs"
+    runs, steps, rounds = (out or Path()) / "runs", list[Step](), list[str]()
+    emulation, cycle_s = emulation_of(loaded.config), loaded.config.cycle_time_s
     model = loaded.config.machine if model_path is None else any_model_from(model_path)
-    cycle_s = loaded.config.cycle_time_s
-    observer, announce = progress.of_run("run the bench", 0.0, cycle_s)
-    first = run_bench(loaded, model, runs, observers=[observer], announce=announce)
-    before = live_gap(first)
-    recording, emulation = first.folder.recording, emulation_of(loaded.config)
-    diagnosis = diagnose(read_section(recording), model, recording, progress.announce, emulation)
-    found = Found(diagnosis, config, [before])
-    found.proposed = proposed(diagnosis, read_section(recording), recording)
-    steps: list[Step] = []
-    while until_clear and found.proposed is not None and len(found.rounds) < _MOST_ROUNDS:
-        if not any(effect.tied_with for effect in diagnosis.effects):
+
+    def run(what: str, share: float, model: Machine) -> RunOutcome:
+        observer, announce = progress.of_run(what, share, cycle_s)
+        return run_bench(loaded, model, runs, more_steps=steps, observers=[observer], announce=announce)
+
+    def diagnosed(what: str) -> Found:
+        outcome = run(what, 0.0, model)
+        gap, path = live_gap(outcome), outcome.folder.recording
+        recording = read_section(path)
+        diagnosis = diagnose(recording, model, path, progress.announce, emulation)
+        return Found(diagnosis, config, [gap], proposed=proposed(diagnosis, recording, path), rounds=rounds)
+
+    found = diagnosed("run the bench")
+    while until_clear and found.proposed is not None and len(rounds) < _MOST_ROUNDS:
+        if not any(effect.tied_with for effect in found.diagnosis.effects):
             break
         steps += found.proposed.steps
-        found.rounds.append(f"{found.proposed.moves} ({'; '.join(found.proposed.reasons)})")
-        observer, announce = progress.of_run(f"run the bench with {found.proposed.moves}", 0.0, cycle_s)
-        again = run_bench(loaded, model, runs, more_steps=steps, observers=[observer], announce=announce)
-        before, recording = live_gap(again), again.folder.recording
-        diagnosis = diagnose(read_section(recording), model, recording, progress.announce, emulation)
-        found.diagnosis, found.live = diagnosis, [before]
-        found.proposed = proposed(diagnosis, read_section(recording), recording)
+        rounds.append(f"{found.proposed.moves} ({'; '.join(found.proposed.reasons)})")
+        found = diagnosed(f"run the bench with {found.proposed.moves}")
+    diagnosis, (before,) = found.diagnosis, found.live
     if not diagnosis.effects:
         return found
-    observer, announce = progress.of_run("run the bench with the extended model", 0.97, cycle_s)
     try:
-        extended_run = run_bench(
-            loaded, diagnosis.model, runs, more_steps=steps, observers=[observer], announce=announce
-        )
-        after = live_gap(extended_run)
+        after = live_gap(run("run the bench with the extended model", 0.97, diagnosis.model))
     except BenchFaultError as fault:
         found.not_compared, found.fault = f"the run with the extended model ended early: {fault}", fault
         return found
@@ -173,19 +163,20 @@ def found_on_the_bench(
     return found
 
 
-def _write(found: Found, source: Path, out: Path) -> _Files:
+def _write(found: Found, source: Path, out: Path) -> dict[str, Path]:
+    """Files that were written: page, model, and config where there is one."""
     make_folder(out)
-    files = _Files(out / "diagnosis.html", out / "model_extended.yaml", None)
-    write_model(files.model, found.diagnosis.model)
+    files = {"page": out / "diagnosis.html", "model": out / "model_extended.yaml"}
+    write_model(files["model"], found.diagnosis.model)
     if found.config is not None:
-        files.config = out / "config_extended.yaml"
-        write_config_over(files.config, [found.config, files.model], found.changes)
+        files["config"] = out / "config_extended.yaml"
+        write_config_over(files["config"], [found.config, files["model"]], found.changes)
     title = f"Diagnosis of {source.name}" + ("" if found.against is None else f" against {found.against.name}")
-    write_diagnosis_page(found, title, files.page, files.config)
+    write_diagnosis_page(found, title, files["page"], files.get("config"))
     return files
 
 
-def _show_all(console: Console, found: Found, files: _Files | None) -> None:
+def _show_all(console: Console, found: Found, files: Mapping[str, Path]) -> None:
     _show(console, found)
     for line in found.rounds:
         console.print(f"ran as well: {line}", soft_wrap=True)
@@ -193,14 +184,13 @@ def _show_all(console: Console, found: Found, files: _Files | None) -> None:
         console.print(_live_table(found.live))
     if found.not_compared:
         console.print(f"not compared: {found.not_compared}", soft_wrap=True)
-    if files is None:
-        return
-    console.print(f"page: {files.page}\nextended model: {files.model}", soft_wrap=True)
-    if files.config is not None:
-        console.print(f"bench with the extended model: hilbench run {files.config}", soft_wrap=True)
+    if files:
+        console.print(f"page: {files['page']}\nextended model: {files['model']}", soft_wrap=True)
+    if "config" in files:
+        console.print(f"bench with the extended model: hilbench run {files['config']}", soft_wrap=True)
 
 
-def as_data(shown: Found, files: _Files | None, next_experiment: Path | None = None) -> dict[str, Any]:
+def as_data(shown: Found, files: Mapping[str, Path], next_experiment: Path | None = None) -> dict[str, Any]:
     """Data that `--json` prints (design, section 6)."""
     found = shown.diagnosis
     return {
@@ -227,8 +217,7 @@ def as_data(shown: Found, files: _Files | None, next_experiment: Path | None = N
             for gap in shown.live
         ],
         "not_compared": shown.not_compared or None,
-        "model": None if files is None else str(files.model),
-        "config": None if files is None or files.config is None else str(files.config),
+        **{name: str(files[name]) if name in files else None for name in ("model", "config")},
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from hilbench.apps.report.chart import BLUE, VERMILLION, Chart, Curve, Mark
 from hilbench.apps.report.page import number, write_page
-from hilbench.apps.report.plots import Drawing, DrawnAxes, Picture, drawn
+from hilbench.apps.report.plots import DrawnAxes, Picture, drawn
 from hilbench.apps.report.reduce import moving_average
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable
 from hilbench.diagnosis.next_experiment import NextExperiment
@@ -149,4 +149,4 @@ def _profiles(found: Diagnosis) -> Picture:
         "Mean of measured less simulated torque over the states on which it depended most: blue with the original "
         "model, orange with the effects that were found."
     )
-    return Picture("profiles", title, caption, drawing=Drawing(draw, 2.3 * rows, "profiles", title))
+    return Picture("profiles", title, caption, draw=draw, height_in=2.3 * rows)

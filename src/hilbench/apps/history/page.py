@@ -11,7 +11,7 @@ import numpy as np
 from hilbench.apps.history.quantities import COLUMNS, SECONDS_PER_DAY, QuantityTrend, date, figures, sentences
 from hilbench.apps.report.chart import BLUE, INK, ORANGE, VERMILLION
 from hilbench.apps.report.page import typeset, write_page
-from hilbench.apps.report.plots import Drawing, DrawnAxes, Picture
+from hilbench.apps.report.plots import DrawnAxes, Picture
 
 _HEIGHT_IN: Final = 2.5
 _TICKS: Final = 6
@@ -73,4 +73,5 @@ def picture(stand: str, one: QuantityTrend) -> Picture:
 
     name = f"{stand}-{one.name}".replace(".", "-")
     caption = " ".join(f"{line}." for line in sentences(one)) + f" {_CAPTION}"
-    return Picture(name, one.name, caption.strip(), drawing=Drawing(draw, _HEIGHT_IN, name, f"{one.name} over days"))
+    alternative = f"{one.name} over days"
+    return Picture(name, one.name, caption.strip(), draw=draw, height_in=_HEIGHT_IN, alternative=alternative)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
-from functools import wraps
+from functools import partial, wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,7 +19,7 @@ from hilbench.errors import UnusableInputError, printable
 if TYPE_CHECKING:
     from hilbench.apps.library.entry import RunEntry
     from hilbench.apps.library.matrix import Matrix
-    from hilbench.apps.library.query import Library, Query
+    from hilbench.apps.library.query import Library
     from hilbench.results.run_folder import RunFolder
     from hilbench.runs.criteria import CriterionResult
 
@@ -68,14 +69,13 @@ def _with_filters(command: Callable[..., None]) -> Callable[..., None]:
     return filtered
 
 
+_announce = partial(typer.echo, err=True)
+
+
 def _folder(run: str, runs: Path) -> RunFolder:
     from hilbench.apps.library.query import find_run
 
     return find_run(run, runs, _announce)
-
-
-def _announce(text: str) -> None:
-    typer.echo(text, err=True)
 
 
 def _library(folder: Path) -> Library:
@@ -109,10 +109,11 @@ def list_runs(
 
     Example: hilbench runs list --bench 'web_*' --metric E_noise_pct --sort E_noise_pct --html runs.html
     """
-    from hilbench.apps.library.query import Query, values_of
+    from hilbench.apps.library.query import FIELDS, Query, values_of
 
     query = Query.parse(**filters)
-    shown = [*(metric or ()), *_metrics_of(query)]
+    # Metrics named in a condition are shown beside the runs that it finds.
+    asked = [] if query.where is None else sorted(query.where.names - FIELDS.keys())
     found = _library(runs).runs(query, [*(metric or ()), sort])
     if sort != "began":
         values = {run.path: values_of(run, [sort]).get(sort) for run in found}
@@ -127,16 +128,9 @@ def list_runs(
         for run in found[:last]:
             print(runs / run.path)
     else:
-        _print_table(found[: last or _SHOWN], list(dict.fromkeys(shown)))
+        _print_table(found[: last or _SHOWN], list(dict.fromkeys([*(metric or ()), *asked])))
         if last is None and len(found) > _SHOWN:
             typer.echo(f"{_SHOWN} of {len(found)} runs; --last {len(found)} shows all")
-
-
-def _metrics_of(query: Query) -> list[str]:
-    """Metrics named in a condition: they are shown beside the runs that it finds."""
-    from hilbench.apps.library.query import FIELDS
-
-    return [] if query.where is None else sorted(query.where.names - FIELDS.keys())
 
 
 def _largest_first(value: object) -> tuple[int, float, str]:
@@ -346,19 +340,14 @@ def delete(
         )
     library = _library(runs)
     if run:
-        given = [_given(library, each) for each in run]
+        # A path is taken as it is, so that a folder which is no run's is reported as such.
+        given = [path if os.path.lexists(path := Path(each)) else library.find(each).path for each in run]
         for path in given:
             check_deletable(path)
         _delete([(path, "") for path in given], yes=yes)
     else:
         found = [each for each in library.runs(query) if each.state != "running"]
         _delete([(runs / each.path, each.state) for each in found], yes=yes)
-
-
-def _given(library: Library, run: str) -> Path:
-    """A path is taken as it is, so that a folder which is no run's is reported as such."""
-    path = Path(run)
-    return path if path.exists() or path.is_symlink() else library.find(run).path
 
 
 def _delete(given: Sequence[tuple[Path, str]], *, yes: bool) -> None:
@@ -422,14 +411,14 @@ def gc(
             raise UnusableInputError("--yes", "missing, expected with --json, or --dry-run")
         left = {} if dry_run else delete_all([runs / each.run.path for each in deletions])
         deletions = [each for each in deletions if runs / each.run.path not in left]
-    freed = sum(each.run.size_bytes for each in deletions)
-    if json:
+        freed = sum(each.run.size_bytes for each in deletions)
         rows = [{"run": each.run.path, "why": each.why, "size_bytes": each.run.size_bytes} for each in deletions]
         kept = len(known) - len(deletions)
         print_json({"deleted": not dry_run, "freed_bytes": freed, "kept": kept, "runs": rows})
         if left:
             raise UnusableInputError.of([*left.values()])
         return
+    freed = sum(each.run.size_bytes for each in deletions)
     size = f"{_count(len(deletions))}, {freed / 1e6:.1f} MB; {len(known) - len(deletions)} stay"
     if dry_run:
         for each in deletions:
@@ -467,20 +456,14 @@ def matrix(
 
     Example: hilbench runs matrix --reqif specification.reqif --html matrix.html
     """
-    from hilbench.apps.library.matrix import matrix_of
+    from hilbench.apps.library.matrix import matrix_of, read_reqif, write_matrix_page
     from hilbench.apps.library.query import Query
     from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
 
-    specified = []
-    if reqif is not None:
-        from hilbench.apps.library.matrix import read_reqif
-
-        specified = read_reqif(reqif)
+    specified = [] if reqif is None else read_reqif(reqif)
     query = Query.parse(**filters)
     made = matrix_of([run for run in _library(runs).runs(query) if run.verifies][:last], specified)
     if html is not None:
-        from hilbench.apps.library.matrix import write_matrix_page
-
         typer.echo(write_matrix_page(made, runs, html))
     elif json:
         print_json(made.as_data())

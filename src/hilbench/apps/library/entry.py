@@ -167,7 +167,7 @@ def _of_result(result: Mapping[str, Any]) -> dict[str, Any]:
         "criteria": len(criteria),
         "config": str(provenance.get("config") or ""),
         "host": str(provenance.get("host") or ""),
-        "commit": _commit(provenance.get("git")),
+        "commit": f"{git['commit']}{'+' if git['changed'] else ''}" if (git := provenance.get("git")) else "",
         "fault": str(faults[0]["text"]) if faults else "",
         "metrics": {
             name: float(value) for name, value in result["metrics"].items() if value is not None and isfinite(value)
@@ -175,10 +175,6 @@ def _of_result(result: Mapping[str, Any]) -> dict[str, Any]:
         "settings": {each["key"]: each["value"] for each in provenance.get("overridden", ())},
         "verdicts": criteria,
     }
-
-
-def _commit(git: Mapping[str, Any] | None) -> str:
-    return "" if not git else str(git["commit"]) + ("+" if git["changed"] else "")
 
 
 def _began_s(folder: RunFolder, result: Mapping[str, Any]) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import Final, Self
 
@@ -77,14 +78,9 @@ class LiveRun:
         start = tail.rfind(b"(", 0, last)
         if last < 0 or start < 0:
             return count
-        last_ns = _nanoseconds(tail[start + 1 : tail.index(b")", start)])
+        last_ns = int(Decimal(tail[start + 1 : tail.index(b")", start)].decode()) * 10**9)
         ahead = round((sync_ns - last_ns) / cycle_ns)
         return max(count - 1 + ahead, 0) if abs(ahead) * cycle_ns < _NEAR_NS else count
-
-
-def _nanoseconds(seconds: bytes) -> int:
-    whole, _, part = seconds.partition(b".")
-    return int(whole) * 1_000_000_000 + int(part.ljust(9, b"0"))
 
 
 def _folders(runs: Path) -> list[tuple[float, Path]]:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import html
-import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
-from urllib.parse import quote
 
 from hilbench.apps.library.entry import RunEntry
 from hilbench.errors import UnusableInputError, one_line
@@ -122,10 +120,10 @@ def write_matrix_page(matrix: Matrix, base: Path, path: Path) -> Path:
 
     Raises UnusableInputError if it can't be written.
     """
+    from hilbench.apps.library.runs_page import report_address
     from hilbench.apps.report.page import write_page
 
-    below = quote(Path(os.path.relpath(base.resolve(), path.resolve().parent)).as_posix())
-    links = [f"{below}/{quote(run.path)}/report.html" if run.has_report else "" for run in matrix.runs]
+    links = [report_address(base, run, path) if run.has_report else "" for run in matrix.runs]
     covered = len(matrix.rows) - len(matrix.not_covered)
     held = sum(row.newest in ("passed", "marginal") for row in matrix.rows)
     return write_page(

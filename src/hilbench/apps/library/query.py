@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from fnmatch import fnmatchcase
@@ -50,30 +50,19 @@ class Query:
 
     @classmethod
     def parse(
-        cls,
-        name: str | None = None,
-        bench: str | None = None,
-        results: Sequence[str] | None = None,
-        tags: Sequence[str] | None = None,
-        since: str | None = None,
-        until: str | None = None,
-        where: str | None = None,
-        *,
-        now_s: float | None = None,
+        cls, since: str | None = None, until: str | None = None, where: str | None = None, **as_typed: Any
     ) -> Query:
-        """Parse a query as it is typed; `since` and `until`: a date, or an age (``7d``). Raises UnusableInputError."""
-        for result in results or ():
+        """Parse a query as it is typed: its fields, `since` and `until` as a date or an age (``7d``); None: not given.
+        Raises UnusableInputError."""
+        for result in as_typed.get("results") or ():
             if result not in STATES:
                 raise UnusableInputError("--result", f"'{result}', expected one of {', '.join(STATES)}")
-        now_s = time.time() if now_s is None else now_s
+        now_s = time.time()
         return cls(
-            name,
-            bench,
-            results or (),
-            tags or (),
-            None if since is None else moment_s("--since", since, now_s),
-            None if until is None else moment_s("--until", until, now_s),
-            None if where is None else parse_condition(where),
+            since_s=None if since is None else moment_s("--since", since, now_s),
+            until_s=None if until is None else moment_s("--until", until, now_s),
+            where=None if where is None else parse_condition(where),
+            **{key: given for key, given in as_typed.items() if given is not None},
         )
 
     @property
@@ -108,16 +97,11 @@ def entry_of(folder: RunFolder) -> RunEntry:
     return _as_it_is(path.parent, read_entry(path.parent, path.name))
 
 
-def values_of(run: RunEntry, names: Iterable[str]) -> dict[str, Any]:
+def values_of(run: RunEntry, names: Collection[str]) -> dict[str, Any]:
     """Values of a run by these names."""
-    found: dict[str, Any] = {}
-    for name in names:
-        for known in (run.metrics, FIELDS, run.settings):
-            if name in known:
-                value = known[name] if known is not FIELDS else FIELDS[name](run)
-                found[name] = float(value) if isinstance(value, int) and not isinstance(value, bool) else value
-                break
-    return found
+    known = {**run.settings, **{name: FIELDS[name](run) for name in FIELDS.keys() & {*names}}, **run.metrics}
+    values = {name: known[name] for name in names if name in known}
+    return {name: float(value) if type(value) is int else value for name, value in values.items()}
 
 
 def seconds_of(place: str, text: str) -> float:

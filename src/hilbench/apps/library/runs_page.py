@@ -28,10 +28,15 @@ def write_runs_page(base: Path, runs: Sequence[RunEntry], path: Path) -> Path:
 
     Returns `path`. Raises UnusableInputError if it can't be written.
     """
-    below = quote(Path(os.path.relpath(base.resolve(), path.resolve().parent)).as_posix())
-    program = Program("library/runs.js", page_data(runs, lambda run: f"{below}/{quote(run.path)}/report.html"))
+    program = Program("library/runs.js", page_data(runs, lambda run: report_address(base, run, path)))
     write_whole(path, runs_text(base, runs, runs[:_STATIC_ROWS], program))
     return path
+
+
+def report_address(base: Path, run: RunEntry, page: Path) -> str:
+    """Address of the report of a run in the folder `base`, from where a page lies."""
+    below = os.path.relpath(base.resolve(), page.resolve().parent)
+    return quote(f"{Path(below).as_posix()}/{run.path}/report.html")
 
 
 def runs_text(base: Path, runs: Sequence[RunEntry], shown: Sequence[RunEntry], program: Program) -> str:

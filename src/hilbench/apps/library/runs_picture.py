@@ -13,7 +13,7 @@ import numpy as np
 from hilbench.apps.library.entry import RunEntry
 from hilbench.apps.library.query import values_of
 from hilbench.apps.report.chart import BLUE, GREEN, INK, VERMILLION
-from hilbench.apps.report.plots import Drawing, DrawnAxes, ImageFormat
+from hilbench.apps.report.plots import DrawnAxes, ImageFormat, Picture
 from hilbench.errors import UnusableInputError
 from hilbench.files import written_whole
 
@@ -58,7 +58,7 @@ def medians(points: Sequence[Point]) -> list[float]:
     return [float(np.median(values[max(at - beside, 0) : at + beside + 1])) for at in range(len(values))]
 
 
-def draw_runs(points: Sequence[Point], metric: str, over: str = BEGAN) -> Drawing:
+def draw_runs(points: Sequence[Point], metric: str, over: str = BEGAN) -> Picture:
     """A point a run, in the colour of its result, and a line through the medians of neighbours."""
 
     def draw(figure: Any) -> list[DrawnAxes]:
@@ -88,7 +88,8 @@ def draw_runs(points: Sequence[Point], metric: str, over: str = BEGAN) -> Drawin
             axes.xaxis.set_major_formatter(ConciseDateFormatter(where))
         return [panel]
 
-    return Drawing(draw, _HEIGHT_IN, "runs", f"{metric} over {'time' if over == BEGAN else over}")
+    title = f"{metric} over {'time' if over == BEGAN else over}"
+    return Picture("runs", title, draw=draw, height_in=_HEIGHT_IN)
 
 
 def _at(point: Point, over: str) -> Any:

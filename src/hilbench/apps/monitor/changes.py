@@ -222,9 +222,7 @@ def wording(outlook: Outlook) -> str:
         if watched.unit in SHOWN_UNITS:
             low, _, high = outlook.band(place)
             parts.append(f"{watched.name} {low.min():.3g} to {high.max():.3g} {watched.unit}")
-    for crossing in outlook.crossings(_LIKELY):
-        when_s, chance = crossing.expected_s - outlook.now_s, 100 * crossing.probability
-        parts.append(f"{crossing} in {when_s:.1f} s, probability {chance:.0f} %")
+    parts += [crossing.expected_from(outlook.now_s) for crossing in outlook.crossings(_LIKELY)]
     return f"within {seconds:.3g} s {', '.join(parts)}"
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from itertools import groupby
+from itertools import chain, count, groupby
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +14,7 @@ from numpy.typing import NDArray
 from hilbench.apps.report.chart import GREEN, INK, VERMILLION, Mark
 from hilbench.apps.report.page import number, quantity, write_page
 from hilbench.apps.report.panel import recorded_panels
-from hilbench.apps.report.plots import Drawing, DrawnAxes, ImageFormat, Picture, draw_histogram, run_pictures, zooms
+from hilbench.apps.report.plots import DrawnAxes, ImageFormat, Picture, draw_histogram, run_pictures, zooms
 from hilbench.apps.report.web_line_drawing import line_picture
 from hilbench.arrays import Array
 from hilbench.files import make_folder, usable, written_whole
@@ -36,24 +34,15 @@ _CAPTION: Final = (
     "that the model lacks is there, green while there is none or the model has it. Dashed: the same of the model as it "
     "was configured."
 )
-#: Columns of the table of what was found.
-COLUMNS: Final = (
-    *(">Since, s", "What", "Where", "Size"),
-    *(">Named after, s", ">In the model after, s", ">Gap, N·m", "Could also be"),
-)
 #: Heights in the picture, as shares: up to which lines go, of the arrow between two of them, and of the words above.
 _LINES, _ARROW, _BECAME, _WHAT = 0.77, 0.73, 0.79, 0.87
-
-
-#: Columns of the table of what the twin found of errors of its model.
-ESTIMATED_COLUMNS: Final = ("Effect", "Where", "Parameter", ">Value", ">95 %", "Unit", "Could also be")
 #: Steps side by side in a table, and those in the list of them.
 _MOST_COLUMNS = 8
 _MOST_ROWS = 100
 
 
 def estimated_rows(result: Result) -> list[tuple[str, ...]]:
-    """A row for each parameter that the data show, as `ESTIMATED_COLUMNS`."""
+    """A row for each parameter that the data show."""
     return [
         (
             each.effect.replace("_", " "),
@@ -74,8 +63,7 @@ def found_pictures(result: Result) -> list[Picture]:
     if result.gap_history is None or not result.gap_history.t_s:
         return []
     history, found = result.gap_history, result.found or []
-    drawing = Drawing(lambda figure: _draw(figure, history, found), 3.4, "found", _TITLE)
-    return [Picture("found", _TITLE, _CAPTION, drawing=drawing)]
+    return [Picture("found", _TITLE, _CAPTION, draw=lambda figure: _draw(figure, history, found), height_in=3.4)]
 
 
 def _row(found: FoundRecord) -> Iterator[str]:
@@ -160,25 +148,22 @@ def write_report(run_folder: RunFolder) -> Path:
     recording, result = read_recording(run_folder.recording), Result.read(run_folder.result)
     with usable(run_folder.config, "read", "the run's config"):
         config = run_folder.config.read_text(encoding="utf-8")
-    shown = ReportPictures.of(run_folder, recording, result)
+    marks = marks_of(result, recording)
+    pictures = _pictures(run_folder, recording, result, marks)
     steps, timing = result.steps or [], result.timing
     return write_page(
         run_folder.report,
         "report/report",
-        shown.run,
-        shown.marks,
+        pictures["run"],
+        marks,
         name=run_folder.name,
         result=result,
         facts=_facts(result, recording),
         summary=_summary(result),
         reason_of=_reason,
         faults=[(number(fault.time_s, 6), fault.source, fault.text) for fault in result.faults],
-        line=shown.line,
-        pictures=[*shown.run, *shown.zooms],
-        found_pictures=shown.found,
-        found_columns=COLUMNS,
+        pictures=pictures,
         found=[tuple(_row(each)) for each in result.found or []],
-        estimated_columns=ESTIMATED_COLUMNS,
         estimated=estimated_rows(result),
         warnings=_warnings(result),
         reasons_of=_reasons,
@@ -196,43 +181,25 @@ def write_report(run_folder: RunFolder) -> Path:
         most_rows=_MOST_ROWS,
         metrics=_metrics(result),
         timing=_timing(timing),
-        histogram=shown.histogram,
         provenance=_provenance(result.provenance),
         versions=_versions(result.environment),
         config=config,
     )
 
 
-@dataclass(frozen=True)
-class ReportPictures:
-    """Pictures of a run's report, by their section."""
-
-    line: Sequence[Picture]
-    found: Sequence[Picture]
-    run: Sequence[Picture]
-    zooms: Sequence[Picture]
-    histogram: Picture | None
-    marks: Sequence[Mark]
-
-    @classmethod
-    def of(cls, run_folder: RunFolder, recording: Recording, result: Result) -> Self:
-        """Pictures of what was read from a run folder."""
-        marks = marks_of(result, recording)
-        run = run_pictures(recording, marks, recorded_panels(recording).reference(run_folder.config, recording))
-        histogram = result.timing.jitter_histogram
-        return cls(
-            line_picture(run_folder.config, recording),
-            found_pictures(result),
-            run,
-            zooms(run, marks),
-            draw_histogram(histogram) if histogram else None,
-            marks,
-        )
-
-    def drawn(self) -> list[Picture]:
-        """Pictures whose signals are there."""
-        pictures = [*self.line, *self.found, *self.run, *self.zooms, *([self.histogram] if self.histogram else [])]
-        return [picture for picture in pictures if picture.drawing is not None]
+def _pictures(
+    run_folder: RunFolder, recording: Recording, result: Result, marks: Sequence[Mark]
+) -> dict[str, list[Picture]]:
+    """Pictures of what was read from a run folder, by their section of the report."""
+    run = run_pictures(recording, marks, recorded_panels(recording).reference(run_folder.config, recording))
+    histogram = result.timing.jitter_histogram
+    return {
+        "line": line_picture(run_folder.config, recording),
+        "found": found_pictures(result),
+        "run": run,
+        "zooms": zooms(run, marks),
+        "timing": [draw_histogram(histogram)] if histogram else [],
+    }
 
 
 def write_pictures(run_folder: RunFolder, into: Path, form: ImageFormat) -> list[Path]:
@@ -243,11 +210,11 @@ def write_pictures(run_folder: RunFolder, into: Path, form: ImageFormat) -> list
     recording, result = read_recording(run_folder.recording), Result.read(run_folder.result)
     make_folder(into)
     written = []
-    for picture in ReportPictures.of(run_folder, recording, result).drawn():
-        path = into / f"{picture.name}.{form}"
-        with written_whole(path) as partial:
-            partial.write_bytes(picture.as_file(form))
-        written.append(path)
+    for picture in chain(*_pictures(run_folder, recording, result, marks_of(result, recording)).values()):
+        if picture.draw is not None:
+            written.append(into / f"{picture.name}.{form}")
+            with written_whole(written[-1]) as partial:
+                partial.write_bytes(picture.as_file(form))
     return written
 
 
@@ -256,7 +223,7 @@ def marks_of(result: Result | None, recording: Recording) -> list[Mark]:
     events = result.events if result is not None and result.events is not None else None
     if events is None:
         events = [EventRecord.of(event) for event in find_events(recording.channels)]
-    numbers = itertools.count(1)
+    numbers = count(1)
     return [
         Mark(event.start_s, event.end_s, event.text, str(next(numbers)) if event.kind == "step" else "")
         for event in events

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hilbench.apps.report.chart import INK, SKY, VERMILLION, Band, Chart, Curve
 from hilbench.apps.report.reduce import mean_velocity, moving_average
@@ -44,6 +45,11 @@ class ShownRun:
     recording: Recording
     breaks: Sequence[int] = ()
     reference: Array | None = None
+
+    @classmethod
+    def of(cls, recording: Recording, times_s: ArrayLike, reference: Array | None = None) -> Self:
+        """A recording in which something happened at these times, or began and ended."""
+        return cls(recording, np.unique(np.searchsorted(recording.time_s, times_s)).tolist(), reference)
 
     def __contains__(self, name: object) -> bool:
         return name in self.recording or (name == REFERENCE and self.reference is not None)

@@ -27,6 +27,7 @@ from hilbench.results.recording import Recording
 from hilbench.results.result import Histogram
 
 _COLUMNS: Final = 700
+_DOTS_PER_INCH: Final = 200
 #: Axes whose extremes reach beyond so many times what the signals do for 99.8 % of the time are cut, and say so.
 _CUT_BEYOND: Final = 4.0
 #: Bands widen axes by so many times what the curves do, to either side (live.js has it, too).
@@ -79,26 +80,60 @@ ImageFormat = Literal["svg", "png"]
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture: its title, what it shows in words, its axes, and how it is drawn (None where signals are
-    missing)."""
+    """One picture: its title, what it shows in words, its axes, and what draws it on a figure of page width,
+    `height_in` inches high (None where signals are missing). `name` keeps its identifiers apart from others'."""
 
     name: str
     title: str
-    caption: str
-    charts: Sequence[Chart] = field(default=())
-    drawing: Drawing | None = None
+    caption: str = ""
+    charts: Sequence[Chart] = ()
+    draw: Callable[[Any], list[DrawnAxes]] | None = None
+    height_in: float = 0.0
     zoomed: bool = False  #: shown around each step, too
+    alternative: str = ""  #: what it is to who can't see it, where the title is not enough
 
     @cached_property
     def svg(self) -> str:
-        """SVG text for a page; "" where signals are missing."""
-        return "" if self.drawing is None else self.drawing.for_page()
+        """SVG text whose colours are those of the page around it; "" where signals are missing."""
+        if self.draw is None:
+            return ""
+        with self._figure() as figure:
+            text = io.StringIO()
+            figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+        return _for_page(text.getvalue(), self.name, self.alternative or self.title)
 
     def as_file(self, form: ImageFormat) -> bytes:
-        """Picture as a file of its own. Raises ValueError where signals are missing."""
-        if self.drawing is None:
+        """Picture as a file of its own: on white, its colours in it. Raises ValueError where signals are missing."""
+        title = self.alternative or self.title
+        meta = {"svg": {"Date": None, "Creator": None, "Title": title}, "png": {"Software": None}}
+        with self._figure() as figure:
+            image = io.BytesIO()
+            figure.savefig(
+                image, format=form, facecolor="white", bbox_inches="tight", dpi=_DOTS_PER_INCH, metadata=meta[form]
+            )
+        return image.getvalue()
+
+    @contextmanager
+    def _figure(self) -> Iterator[Any]:
+        """A figure with the picture on it. Raises ValueError where signals are missing."""
+        if self.draw is None:
             raise ValueError(f"a picture that can be drawn, {self.name} lacks signals")
-        return self.drawing.as_file(form)
+        import matplotlib
+        from matplotlib.backends.backend_svg import FigureCanvasSVG
+        from matplotlib.figure import Figure
+
+        # From matplotlib's own defaults, not the user's matplotlibrc: the same run gives the same picture anywhere.
+        style: Any = {**dict(matplotlib.rcParamsDefault), **_STYLE, "svg.hashsalt": f"hilbench-{self.name}"}
+        height_in = self.height_in
+        with matplotlib.rc_context(style):
+            figure = Figure(figsize=(7.6, height_in))
+            FigureCanvasSVG(figure)
+            figure.subplots_adjust(
+                left=0.095, right=0.865, top=1 - 0.26 / height_in, bottom=0.46 / height_in, hspace=0.14
+            )
+            for panel in self.draw(figure):
+                panel.write_names()
+            yield figure
 
 
 @dataclass
@@ -202,8 +237,7 @@ def run_pictures(recording: Recording, marks: Sequence[Mark] = (), reference: Ar
 
     `reference`: estimate that the published synchronizer would have made of the run.
     """
-    breaks = sorted({int(at) for mark in marks for at in np.searchsorted(recording.time_s, (mark.start_s, mark.end_s))})
-    run = ShownRun(recording, breaks, reference)
+    run = ShownRun.of(recording, [(mark.start_s, mark.end_s) for mark in marks], reference)
     return [
         drawn(Picture(each.name, each.title, each.words(run), each.charts(run), zoomed=each.zoomed), marks)
         for each in recorded_panels(recording).pictures
@@ -245,7 +279,7 @@ def draw_histogram(histogram: Histogram) -> Picture:
 
     title = "Lateness of SYNC"
     caption = "Every cycle; logarithmic, so that the rare late one shows."
-    return Picture("jitter", title, caption, drawing=Drawing(draw, 2.2, "jitter", title))
+    return Picture("jitter", title, caption, draw=draw, height_in=2.2)
 
 
 # -- drawing ---------------------------------------------------------------------------------------------------------
@@ -279,7 +313,7 @@ def drawn(picture: Picture, marks: Sequence[Mark] = (), *, side_by_side: Sequenc
         return panels
 
     height_in = 2.5 * down if side_by_side else 0.9 + 2.0 * count
-    return replace(picture, drawing=Drawing(draw, height_in, picture.name, picture.title))
+    return replace(picture, draw=draw, height_in=height_in)
 
 
 def _draw_chart(axes: Any, chart: Chart, columns: int, marks: Sequence[Mark]) -> DrawnAxes:
@@ -336,57 +370,6 @@ def _write_texts(marks: Sequence[Mark], axes: Any) -> None:
             ha="center",
             va="bottom",
         )
-
-
-_DOTS_PER_INCH: Final = 200
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """Drawing by `draw` on a figure of page width, `height_in` inches high; `name` keeps its identifiers apart from
-    others' on a page, `title` says what it is to who can't see it."""
-
-    draw: Callable[[Any], list[DrawnAxes]]
-    height_in: float
-    name: str
-    title: str
-
-    def for_page(self) -> str:
-        """SVG text whose colours are those of the page around it."""
-        with self._figure() as figure:
-            text = io.StringIO()
-            figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-        return _for_page(text.getvalue(), self.name, self.title)
-
-    def as_file(self, form: ImageFormat) -> bytes:
-        """Drawing as a file of its own: on white, its colours in it."""
-        meta = {"svg": {"Date": None, "Creator": None, "Title": self.title}, "png": {"Software": None}}
-        with self._figure() as figure:
-            image = io.BytesIO()
-            figure.savefig(
-                image, format=form, facecolor="white", bbox_inches="tight", dpi=_DOTS_PER_INCH, metadata=meta[form]
-            )
-        return image.getvalue()
-
-    @contextmanager
-    def _figure(self) -> Iterator[Any]:
-        """A figure with the picture on it."""
-        import matplotlib
-        from matplotlib.backends.backend_svg import FigureCanvasSVG
-        from matplotlib.figure import Figure
-
-        # From matplotlib's own defaults, not the user's matplotlibrc: the same run gives the same picture anywhere.
-        style: Any = {**dict(matplotlib.rcParamsDefault), **_STYLE, "svg.hashsalt": f"hilbench-{self.name}"}
-        height_in = self.height_in
-        with matplotlib.rc_context(style):
-            figure = Figure(figsize=(7.6, height_in))
-            FigureCanvasSVG(figure)
-            figure.subplots_adjust(
-                left=0.095, right=0.865, top=1 - 0.26 / height_in, bottom=0.46 / height_in, hspace=0.14
-            )
-            for panel in self.draw(figure):
-                panel.write_names()
-            yield figure
 
 
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from hilbench.apps.report.chart import BLUE, INK, ORANGE, VERMILLION
-from hilbench.apps.report.plots import Drawing, DrawnAxes, Picture
+from hilbench.apps.report.plots import DrawnAxes, Picture
 from hilbench.errors import UnusableInputError
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import CarriageStation, Dancer, LineRoller, Reel
@@ -124,7 +124,7 @@ def drawing(model: ModelParameters, notes: LineNotes) -> Picture:
         return []
 
     height_in = float(np.clip(7.6 * (high - low) / (width + 1.0 + 2.0 * beside), 1.2, 3.2))
-    return Picture("line", _TITLE, _CAPTION, drawing=Drawing(draw, height_in, "line", _TITLE))
+    return Picture("line", _TITLE, _CAPTION, draw=draw, height_in=height_in)
 
 
 def placed_rollers(model: ModelParameters) -> list[DrawnRoller]:

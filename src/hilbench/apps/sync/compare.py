@@ -124,6 +124,13 @@ def _show(comparison: Comparison, page: Path | None, as_json: bool) -> None:
         console.print(f"estimates: {page.with_name(ESTIMATES)}", soft_wrap=True)
 
 
+#: Of a method's result, what `--json` prints as it is.
+_AS_THEY_ARE = (
+    *("method", "time_to_1pct_s", "overshoot_pct", "noise_pct", "bias_pct", "largest_error_pct", "covered"),
+    "final_E_Pa",
+)
+
+
 def as_data(comparison: Comparison) -> dict[str, Any]:
     """Data that `--json` prints; names with units, None where there is no true E or no finite value."""
     return {
@@ -135,14 +142,7 @@ def as_data(comparison: Comparison) -> dict[str, Any]:
         },
         "methods": [
             {
-                "method": result.method,
-                "time_to_1pct_s": result.time_to_1pct_s,
-                "overshoot_pct": result.overshoot_pct,
-                "noise_pct": result.noise_pct,
-                "bias_pct": result.bias_pct,
-                "largest_error_pct": result.largest_error_pct,
-                "covered": result.covered,
-                "final_E_Pa": result.final_E_Pa,
+                **{name: getattr(result, name) for name in _AS_THEY_ARE},
                 "final_deviation_Pa": finite_or_none(result.final_sd_Pa),
                 "cpu_us_per_cycle": result.cpu_us,
                 "also": {

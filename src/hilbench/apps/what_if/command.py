@@ -145,8 +145,7 @@ def _print(answer: Answer, texts: Sequence[str], when: str) -> None:
             for line in text_chart(outlook.times_s, outlook.band(place), levels_of(watched)):
                 console.print(line, soft_wrap=True)
     for crossing in outlook.crossings(0.5):
-        when_s, chance = crossing.expected_s - outlook.now_s, 100 * crossing.probability
-        console.print(f"{crossing} in {when_s:.1f} s, probability {chance:.0f} %", soft_wrap=True)
+        console.print(crossing.expected_from(outlook.now_s), soft_wrap=True)
 
 
 def _as_object(answer: Answer) -> dict[str, Any]:
