@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from math import isclose
 from typing import Any, Final
@@ -25,10 +25,9 @@ from hilbench.exchange.addressing import IoMaps, declared_units, drive_settings
 from hilbench.exchange.answers import Tpdo
 from hilbench.exchange.effect_objects import effect_place
 from hilbench.exchange.emergencies import Emergency, EmergencyInbox
-from hilbench.exchange.measured import OF_DRIVE, Measured, ShownBy, SimulatedTorque, twin_age_cycles
-from hilbench.exchange.parallel import ForEachNode
+from hilbench.exchange.measured import OF_DRIVE, Measured, ShownBy, twin_age_cycles
 from hilbench.exchange.sync_cycle import ExpectedPdo
-from hilbench.exchange.unexpected_senders import Owned, Unexpected, UnexpectedSenders
+from hilbench.exchange.unexpected_senders import Unexpected, UnexpectedSenders
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
 from hilbench.topology.sample import sample_type
@@ -51,6 +50,8 @@ _FOLLOWS: Final = Command.ENABLE_OPERATION.value
 
 #: How a part of a bench, by its EDS file, is configured.
 SettingsOf = Callable[[BenchConfig, Part, canopen.ObjectDictionary], DriveSettings]
+#: Like `map` or `Executor.map`: results in node order; the first failure in this order is raised.
+ForEachNode = Callable[..., Iterator[Any]]
 
 
 class Nodes:
@@ -101,11 +102,13 @@ class Nodes:
         }
         self._ods_of_nodes = {node_id: self._ods[there[0].name] for node_id, there in on_nodes.items()}
         self._master: Master | None = None
-        torques = [SimulatedTorque(each.axis, each.name, each.residual) for each in self.io.data.torques]
         self._shown_by = self._drive_signals()
         #: What drives and twin have answered.
         self.measured = Measured(
-            sample_type(config.signals), self._shown_by, [names for _, names in self._virtual_io_values], torques
+            sample_type(config.signals),
+            self._shown_by,
+            [names for _, names in self._virtual_io_values],
+            self.io.data.torques,
         )
         self.fill = self.measured.fill
         self._status_cob_id = self.io.status.cob_id
@@ -199,15 +202,12 @@ class Nodes:
     def introduce(self, master: Master) -> None:
         """Make all nodes known to the master."""
         self._master = master
-        self._watch = UnexpectedSenders(self._owned(), master.sent.take)
-        for node_id, names in self._known.items():
-            master.add(node_id, self._ods_of_nodes[node_id], names)
-
-    def _owned(self) -> Owned:
-        """Frames that belong on the bus, with their senders."""
         rpdos = {cob_id: self.sender(drive) for drive in self.drives for cob_id in drive.rpdo_cob_ids}
         rpdos |= {pdo.cob_id: self.twin_name for pdo in self.io.boundary}
-        return Owned(self.config.master.node_id, self._known, self._ods_of_nodes, rpdos)
+        our_id = self.config.master.node_id
+        self._watch = UnexpectedSenders(our_id, self._known, self._ods_of_nodes, rpdos, master.sent.take)
+        for node_id, names in self._known.items():
+            master.add(node_id, self._ods_of_nodes[node_id], names)
 
     def configure_drives(self, master: Master, for_each_node: ForEachNode = map) -> None:
         """Configure axes and load motors by SDO. Raises BenchFaultError naming node, object and reason."""
