@@ -157,9 +157,8 @@ class UnexpectedSenders:
         place = f"{index:04X}h sub {sub}"
         expedited = data[0] >> 5 == _DOWNLOAD and data[0] & 2
         content = data[4 : 8 - (data[0] >> 2 & 3 if data[0] & 1 else 0)] if expedited else b""
-        try:
-            variable = eds.variable(self._dictionaries[node_id], index, sub)
-        except KeyError:
+        variable = eds.known(self._dictionaries[node_id], index, sub)
+        if variable is None:
             return f"{place} = {content.hex(' ')}" if content else place
         value = f" = {_value(variable.data_type or 0, content)}" if content else ""
         return f"{place} '{variable.name}'{value}"
