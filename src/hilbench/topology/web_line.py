@@ -13,7 +13,8 @@ from hilbench.topology.main_quantities.web_line import main_quantities as main_q
 from hilbench.topology.process_data.web_line import process_data as process_data
 from hilbench.topology.quantities import LINE_SPEED, MODEL_CHANGE, Permitted
 from hilbench.topology.signals import Shape
-from hilbench.topology.web_line_config import controller_misfits, estimate_misfits, line_misfits, rest_misfit
+from hilbench.topology.web_line_config import controller_misfits, estimate_misfits
+from hilbench.topology.web_line_config import whole_misfits as whole_misfits
 from hilbench.topology.web_line_quantities import TENSION_PROBE, TENSION_SET_POINT, WEB_BROKEN, YOUNGS_MODULUS
 from hilbench.topology.web_line_shape import forces_at_start, sensors_at_start, web_line_shape
 from hilbench.topology.web_line_signals import WEB_LINE
@@ -62,12 +63,3 @@ def misfits(key: str, value: Any, machine: Any) -> Iterator[str]:
         yield from value.web.misfits(machine.span_count)
     if (key == "load" and value.shaft != LoadShaftConfig()) or (key == "hardware" and value.shaft):
         yield "no 'shaft:', which is of a servo axis (machine: {kind: servo_axis})"
-
-
-def whole_misfits(config: BenchConfig) -> Iterator[str]:
-    """Why a line can't have these controllers, sensors, and this twin."""
-    machine, twin, controllers = config.web_line, config.twin, config.controllers.values()
-    ahead = [key for key in ("prediction", "live_diagnosis", "splices") if getattr(twin, key)]
-    names = {*config.drives, *config.load_motors}
-    yield from line_misfits(machine, controllers, config.load.measured, "".join(ahead[:1]), names)
-    yield from filter(None, [rest_misfit(twin, machine, controllers, config.load.measured)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from math import inf
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from pydantic import BeforeValidator, Discriminator, Field, FiniteFloat, PositiveFloat, Tag
 
@@ -13,6 +13,9 @@ from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
 from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.stations import ONLY_DRIVEN, Accumulator, Dancer, Idler, Reel, StationName, reel_name
+
+if TYPE_CHECKING:
+    from hilbench.topology.config import BenchConfig
 
 #: What is expected where an axis has two things to keep.
 ONE_CONTROLLER = "one controller between two driven rollers: one axis can keep one tension, or one position"
@@ -240,23 +243,6 @@ def span_beside_reel(machine: ModelParameters, axis: int) -> int:
     return 1 if axis == 1 else machine.span_count
 
 
-def torqued_reels(machine: ModelParameters, controllers: Iterable[ControllerConfig]) -> dict[int, ReelControlConfig]:
-    """The controllers of reels in torque mode by the axis of the reel."""
-    axes, found = reel_axes(machine), loops_of(ReelControlConfig, controllers)
-    return {axes[control.reel]: control for control in sorted(found, key=lambda each: axes[each.reel])}
-
-
-def set_point_controls(
-    machine: ModelParameters, controllers: Collection[ControllerConfig]
-) -> dict[int, TensionControlConfig | ReelControlConfig]:
-    """The controllers of tensions, by speeds or torques, by the span whose tension they keep, in the order of these."""
-    by_speeds = {control.span: control for control in loops_of(TensionControlConfig, controllers)}
-    reels = torqued_reels(machine, controllers) if loops_of(ReelControlConfig, controllers) else {}
-    by_torques = {span_beside_reel(machine, axis): control for axis, control in reels.items()}
-    kept: dict[int, TensionControlConfig | ReelControlConfig] = {**by_speeds, **by_torques}
-    return {span: kept[span] for span in sorted(kept)}
-
-
 def controller_misfits(controllers: Collection[ControllerConfig], count: int) -> Iterator[str]:
     """Why these can't be the controllers of a line of so many spans."""
     tensions = loops_of(TensionControlConfig, controllers)
@@ -324,31 +310,20 @@ def _unestimated_misfit(key: str, estimated: Collection[int], count: int) -> str
     return f"'twin: {{estimate: …}}' at every span with {key}, not without span {without[0]}"
 
 
-def line_misfits(
-    machine: ModelParameters,
-    controllers: Collection[ControllerConfig],
-    measured: Sequence[str],
-    ahead: str,
-    names: Collection[str],
-) -> Iterator[str]:
-    """Why a line can't be the machine of a bench with these controllers, and sensors of the stations `measured`.
-
-    `ahead`: key of the twin's that is given and needs driven rollers alone, "" for none; `names`: of other parts.
-    """
+def whole_misfits(config: BenchConfig) -> Iterator[str]:
+    """Why a line can't have these controllers, sensors, and this twin."""
+    machine, measured = config.web_line, config.load.measured
     if machine.drives is None or machine.web is None:
         yield "a machine with 'web:' and 'drives:'"
-    of_stations = None if machine.stations is None else _stations_misfit(machine, controllers, ahead, names)
-    yield from filter(None, [of_stations])
+    yield from filter(None, [None if machine.stations is None else _stations_misfit(config)])
     yield from filter(None, [_measured_misfit(measured, machine)])
-    yield from filter(None, [_loops_misfit(machine, controllers, measured)])
+    yield from filter(None, [_loops_misfit(config)])
+    yield from filter(None, [rest_misfit(config.twin, machine, config.controllers.values(), measured)])
 
 
-def _loops_misfit(
-    machine: ModelParameters, controllers: Iterable[ControllerConfig], measured: Collection[str]
-) -> str | None:
-    """Why positions and tensions of a line can't be kept by these, in one line, or None; `measured`: what stations have
-    a sensor."""
-    given = list(controllers)
+def _loops_misfit(config: BenchConfig) -> str | None:
+    """Why positions and tensions of a line can't be kept by its controllers, in one line, or None."""
+    machine, measured, given = config.web_line, config.load.measured, config.controllers.values()
     carriages = {carriage.station.name: carriage for carriage in machine.carriages}
     before, tensions = axes_before_spans(machine), loops_of(TensionControlConfig, given)
     sections = [before[control.span - 1] for control in tensions]
@@ -409,21 +384,20 @@ def _force_misfit(station: Dancer | Accumulator, force: CarriageForceConfig | No
     return None
 
 
-def _stations_misfit(
-    machine: ModelParameters, controllers: Collection[ControllerConfig], ahead: str, names: Collection[str]
-) -> str | None:
-    """Why a bench can't have the stations of its machine, in one line, or None; see `line_misfits`."""
-    rollers = machine.line_rollers
+def _stations_misfit(config: BenchConfig) -> str | None:
+    """Why a bench can't have the stations of its machine, in one line, or None."""
+    rollers, controllers = config.web_line.line_rollers, config.controllers.values()
     if rollers[0].axis is None or rollers[-1].axis is None:
         return "'stations' that begin and end with a driven roller or reel"
+    ahead = [key for key in ("prediction", "live_diagnosis", "splices") if getattr(config.twin, key)]
     if ahead:
-        return f"no '{ahead}' on a line with 'stations:', or {ONLY_DRIVEN}"
+        return f"no '{ahead[0]}' on a line with 'stations:', or {ONLY_DRIVEN}"
     probes = [control.probes for control in loops_of(TensionControlConfig, controllers)]
     if any(probing.mode != "off" or probing.at_rest_mm for probing in probes):
         return f"no 'probing' on a line with 'stations:', or {ONLY_DRIVEN}"
     if loops_of(CompensationConfig, controllers):
         return f"no 'compensate' on a line with 'stations:', or {ONLY_DRIVEN}"
-    twice = [name for name in station_names(machine) if name in names]
+    twice = [name for name in station_names(config.web_line) if name in {*config.drives, *config.load_motors}]
     return f"names that differ: a station and another part are both named {twice[0]}" if twice else None
 
 

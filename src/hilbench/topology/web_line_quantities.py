@@ -27,14 +27,11 @@ def span_of_set_point(path: str) -> str | None:
     return found[1] if found else "" if path == TENSION_SET_POINT else None
 
 
-def is_numbered(path: str) -> bool:
-    """True if a path has the number of a span."""
-    return _NUMBERED_SET_POINT.fullmatch(path) is not None or is_modulus(path)
-
-
 def without_number(path: str) -> str:
-    """Path of the quantity of which a span has its own."""
-    return YOUNGS_MODULUS if is_modulus(path) else TENSION_SET_POINT
+    """Path of the quantity of which a span has its own; another path as it is."""
+    if span_of_set_point(path):
+        return TENSION_SET_POINT
+    return YOUNGS_MODULUS if is_modulus(path) else path
 
 
 def several(shape: Shape) -> dict[str, list[str]]:
