@@ -80,10 +80,6 @@ class Nodes:
             (pdo, tuple(signal.name for signal in content.signals))
             for pdo, content in zip(self.io.boundary, self.io.data.boundary, strict=True)
         ]
-        self._virtual_io_values = [
-            (pdo, tuple(signal.name for signal in content.signals))
-            for pdo, content in zip(self.io.sent, self.io.data.sent, strict=True)
-        ]
         self._rad_per_unit = [config.machine.motor_rad_per_unit(axis) for axis in range(1, len(self.axes) + 1)]
         # Of a velocity the machine's unit to motor rad, of a torque 1.
         factors = [1.0 if axis in config.shape.torqued else k for axis, k in enumerate(self._rad_per_unit, 1)]
@@ -107,7 +103,7 @@ class Nodes:
         self.measured = Measured(
             sample_type(config.signals),
             self._shown_by,
-            [names for _, names in self._virtual_io_values],
+            [[signal.name for signal in content.signals] for content in self.io.data.sent],
             self.io.data.torques,
         )
         self.fill = self.measured.fill
@@ -386,7 +382,7 @@ class Nodes:
         """Take status, simulated and estimated signals of the twin from its answers to this SYNC."""
         measured = self.measured
         self._take_status(data.get(self._status_cob_id))
-        for at, ((pdo, _), part) in enumerate(zip(self._virtual_io_values, measured.parts, strict=True)):
+        for at, (pdo, part) in enumerate(zip(self.io.sent, measured.parts, strict=True)):
             content = data.get(pdo.cob_id)
             measured.came[at] = content is not None
             if content is not None:
