@@ -10,9 +10,10 @@ length on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
+from typing import NamedTuple
 
 from hilbench.bench.schedule import bits_on_wire, schedule
 from hilbench.can.frame import EXTENDED_FLAG
@@ -40,17 +41,13 @@ class BusOption:
     usable: bool = False
 
 
-@dataclass(frozen=True)
-class BusOptions:
+class BusOptions(NamedTuple):
     """The one that the bench has, and others. Cycles are whole multiples of the drives' sample time."""
 
     one_wire: BusOption
     two_wires: BusOption
     twin_apart: BusOption
     can_fd: BusOption
-
-    def __iter__(self) -> Iterator[BusOption]:
-        return iter((self.one_wire, self.two_wires, self.twin_apart, self.can_fd))
 
 
 def bus_options(config: BenchConfig, nodes: Nodes) -> BusOptions:

@@ -119,7 +119,7 @@ def check_stability(config: BenchConfig, document: Document, point: OperatingPoi
         _check_stiffness(config, document, point, where)
         return
     if not TensionLoop(config, point, closed=False).stable:
-        share = stiffness_reserve(config, point)
+        share = min(stiffness_reserves(config, point).values(), default=inf)
         raise UnusableInputError(
             document.place(where),
             f"the load motor can't emulate so stiff a web over {cycle} ({operating_point_text(point)}): the loop of "
@@ -190,11 +190,6 @@ def stiffness_reserves(config: BenchConfig, point: OperatingPoint) -> dict[int, 
         asked_Nm_per_rad = held_N_per_m[axis] / model.motor_rad_per_m(axis) ** 2
         reserves[axis] = largest_stiffness_Nm_per_rad(shaft, emulation_delay_s(shaft)) / asked_Nm_per_rad
     return reserves
-
-
-def stiffness_reserve(config: BenchConfig, point: OperatingPoint) -> float:
-    """The least of `stiffness_reserves`; inf without load motors."""
-    return min(stiffness_reserves(config, point).values(), default=inf)
 
 
 def spans_beside(model: ModelParameters, axis: int) -> tuple[int, ...]:

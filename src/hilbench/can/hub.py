@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from hilbench.can import protocol, requests
 from hilbench.can.confinement import ControllerState
-from hilbench.can.disturbance import Disturber
+from hilbench.can.disturbance import Disturber, ErrorInjection
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, is_classical
 from hilbench.can.listeners import Listeners
 from hilbench.can.medium import FOREVER, Delivery, Medium, Station
@@ -77,7 +77,7 @@ class Client(Station):
         self.connection = connection
         self.identity = identity
         self.joined = False
-        self.filters: list[tuple[int, int]] | None = None
+        self.filters: requests.Filters = None
         self.receive_own = False
         self.fd = False
         self.limit = DELIVERED_RECORDS  # in one packet
@@ -104,6 +104,13 @@ class Hub:
         self._fd = False  # true once a station that may send FD frames has joined
         self._epoll = select.epoll()
         self._epoll.register(listener, select.EPOLLIN)
+        self._handlers: dict[str, Callable[..., dict[str, Any]]] = {
+            "join": self._join,
+            "set_filters": self._set_filters,
+            "set_errors": self._set_errors,
+            "set_priority": self._set_priority,
+            "statistics": self._statistics,
+        }
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._medium = Medium(self.settings.bitrate)
 
@@ -422,7 +429,8 @@ class Hub:
 
     def _answer(self, client: Client, packet: bytes) -> None:
         try:
-            reply = self._execute(client, requests.parse(packet))
+            request, arguments = requests.parse(packet)
+            reply = self._handlers[request](client, **arguments)
         except requests.RefusedError as error:
             reply = {"error": str(error)}
         try:
@@ -430,47 +438,54 @@ class Hub:
         except OSError:  # it did not wait for the answer
             return
 
-    def _execute(self, client: Client, request: requests.Request) -> dict[str, Any]:
-        if isinstance(request, requests.Join):
-            return self._join(client, request)
-        if isinstance(request, requests.SetFilters):
-            self._station(request.station).filters = request.filters
-            self._forget_listeners()
-            return {}
-        if isinstance(request, requests.SetErrors):
-            self._medium.disturber = Disturber(request.injection)
-            return {}
-        if isinstance(request, requests.SetPriority):
-            try:
-                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(request.priority))
-            except PermissionError:
-                raise requests.RefusedError("SCHED_FIFO is not permitted to its hub") from None
-            return {}
-        return self._statistics()
-
-    def _station(self, identity: int) -> Client:
+    def _set_filters(self, _: Client, station: int, filters: requests.Filters) -> dict[str, Any]:
+        """Frames that are over from now on reach the station only if a filter accepts them."""
         for client in self._clients.values():
-            if client.joined and client.identity == identity:
-                return client
-        raise requests.RefusedError(f"station {identity}: not on this bus")
+            if client.joined and client.identity == station:
+                client.filters = filters
+                self._forget_listeners()
+                return {}
+        raise requests.RefusedError(f"station {station}: not on this bus")
 
-    def _join(self, client: Client, join: requests.Join) -> dict[str, Any]:
+    def _set_errors(self, _: Client, injection: ErrorInjection) -> dict[str, Any]:
+        """Disturb the frames that are queued from now on."""
+        self._medium.disturber = Disturber(injection)
+        return {}
+
+    def _set_priority(self, _: Client, priority: int) -> dict[str, Any]:
+        """Run with this priority of SCHED_FIFO, 1 to 99, from now on."""
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        except PermissionError:
+            raise requests.RefusedError("SCHED_FIFO is not permitted to its hub") from None
+        return {}
+
+    def _join(
+        self,
+        client: Client,
+        wanted: requests.Wanted,
+        filters: requests.Filters,
+        receive_own: bool,
+        fd: bool,
+        single: bool,
+    ) -> dict[str, Any]:
+        """Become a station. `single`: one frame a packet, so that the descriptor is readable while a frame waits."""
         alone = not self._departed and not any(other.joined for other in self._clients.values())
         if alone:  # the first one determines the settings of the bus
-            self.settings = join.wanted.completed()
+            self.settings = wanted.completed()
             self._medium = Medium(self.settings.bitrate, self._now_ns() if self.settings.timing == "real" else 0)
             self.malformed = 0
         else:
             try:
-                join.wanted.check_against(self.settings)
+                wanted.check_against(self.settings)
             except requests.RefusedError as error:
                 raise requests.RefusedError(
                     f"{error}; on it: {self._programs()}; expected these ended, or of the same bit rate and --pace"
                 ) from None
-        client.filters = join.filters
+        client.filters = filters
         self._forget_listeners()
-        client.receive_own, client.fd = join.receive_own, join.fd
-        client.limit = 1 if join.single else DELIVERED_RECORDS
+        client.receive_own, client.fd = receive_own, fd
+        client.limit = 1 if single else DELIVERED_RECORDS
         client.joined = True
         self._fd = (self._fd and not alone) or client.fd
         self._medium.join(client)
@@ -483,7 +498,7 @@ class Hub:
         pids = {protocol.peer(client.connection)[0] for client in self._clients.values() if client.joined}
         return ", ".join(f"{command_line(pid) or 'a program'} (process {pid})" for pid in sorted(pids))
 
-    def _statistics(self) -> dict[str, Any]:
+    def _statistics(self, _: Client) -> dict[str, Any]:
         counters = self._medium.counters
         real = self.settings.timing == "real"
         return {

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
-from typing import Any, TypeAlias
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from hilbench.can.disturbance import ErrorInjection
 from hilbench.can.protocol import DEFAULT_BITRATE, DEFAULT_DATA_BITRATE
 
 _MAX_FILTERS = 512  # as CAN_RAW_FILTER_MAX
+
+#: (identifier, mask) of the frames that a station receives; None: all.
+Filters = list[tuple[int, int]] | None
 
 
 class RefusedError(Exception):
@@ -47,49 +50,8 @@ class Wanted:
                 raise RefusedError(f"{name} is {running}{unit} on the bus that runs, asked for {wanted}{unit}")
 
 
-@dataclass(frozen=True)
-class Join:
-    """Become a station. `single`: one frame a packet, so that the descriptor is readable while a frame waits."""
-
-    wanted: Wanted = field(default_factory=Wanted)
-    receive_own: bool = False
-    fd: bool = False
-    single: bool = False
-    filters: list[tuple[int, int]] | None = None
-
-
-@dataclass(frozen=True)
-class SetFilters:
-    """Frames that are over from now on reach the station only if a filter accepts them."""
-
-    station: int
-    filters: list[tuple[int, int]] | None
-
-
-@dataclass(frozen=True)
-class SetErrors:
-    """Disturb the frames that are queued from now on."""
-
-    injection: ErrorInjection
-
-
-@dataclass(frozen=True)
-class SetPriority:
-    """Request to run with this priority of SCHED_FIFO, 1 to 99, from now on."""
-
-    priority: int
-
-
-@dataclass(frozen=True)
-class GetStatistics:
-    """Request for the counters."""
-
-
-Request: TypeAlias = Join | SetFilters | SetErrors | SetPriority | GetStatistics
-
-
-def parse(packet: bytes) -> Request:
-    """The request in a packet. Raises RefusedError, with what was expected."""
+def parse(packet: bytes) -> tuple[str, dict[str, Any]]:
+    """Name and arguments of the request in a packet. Raises RefusedError, with what was expected."""
     try:
         content = json.loads(packet)
     except (ValueError, RecursionError):
@@ -98,19 +60,19 @@ def parse(packet: bytes) -> Request:
         raise RefusedError("found no object, expected a request")
     kind = content.pop("request", None)
     if kind == "join":
-        return _join(content)
+        return kind, _join(content)
     if kind == "set_filters":
-        return SetFilters(_integer(content, "station", 1), _filters(content.get("filters")))
+        return kind, {"station": _integer(content, "station", 1), "filters": _filters(content.get("filters"))}
     if kind == "set_errors":
-        return SetErrors(_injection(content))
+        return kind, {"injection": _injection(content)}
     if kind == "set_priority":
-        return SetPriority(_integer(content, "priority", 1, 99))
+        return kind, {"priority": _integer(content, "priority", 1, 99)}
     if kind == "statistics":
-        return GetStatistics()
+        return kind, {}
     raise RefusedError(f"request {kind!r}: unknown")
 
 
-def _join(content: dict[str, Any]) -> Join:
+def _join(content: dict[str, Any]) -> dict[str, Any]:
     timing = content.get("timing")
     if timing not in (None, "real", "virtual"):
         raise RefusedError(f"timing: found {timing!r}, expected 'real' or 'virtual'")
@@ -119,13 +81,8 @@ def _join(content: dict[str, Any]) -> Join:
         None if content.get("data_bitrate") is None else _integer(content, "data_bitrate", 1000, 20_000_000),
         timing,
     )
-    return Join(
-        wanted,
-        receive_own=content.get("receive_own") is True,
-        fd=content.get("fd") is True,
-        single=content.get("single") is True,
-        filters=_filters(content.get("filters")),
-    )
+    flags = {name: content.get(name) is True for name in ("receive_own", "fd", "single")}
+    return {"wanted": wanted, "filters": _filters(content.get("filters")), **flags}
 
 
 def _injection(content: dict[str, Any]) -> ErrorInjection:
@@ -147,7 +104,7 @@ def _integer(content: dict[str, Any], name: str, least: int, most: int = 1 << 62
     return value
 
 
-def _filters(content: Any) -> list[tuple[int, int]] | None:
+def _filters(content: Any) -> Filters:
     if content is None:
         return None
     if not isinstance(content, list) or len(content) > _MAX_FILTERS:

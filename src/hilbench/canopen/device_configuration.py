@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from configparser import ConfigParser
-from configparser import Error as ConfigParserError
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -50,10 +48,7 @@ class Configuration:
 
     def name(self, key: Key) -> str:
         """The object's index and name."""
-        try:
-            name = eds.variable(self.od, *key).name
-        except KeyError:
-            name = "(in no EDS file)"
+        name = getattr(eds.known(self.od, *key), "name", "(in no EDS file)")
         return f"{key[0]:04X}h sub {key[1]} {name}"
 
 
@@ -266,11 +261,9 @@ def _read_concise(path: Path) -> list[concise_dcf.Write]:
 
 def node_of_file(path: Path) -> int | None:
     """Node id that a DCF was made for (DeviceComissioning, as CiA 306 spells it); None: it is not given."""
-    sections = ConfigParser(strict=False, interpolation=None, inline_comment_prefixes=(";",))
     try:
-        sections.read_string(path.read_text(encoding="utf-8-sig", errors="replace"))
-        return int(sections["DeviceComissioning"]["NodeID"], 0)
-    except (OSError, KeyError, ValueError, ConfigParserError):
+        return int(eds.option(path, "DeviceComissioning", "NodeID"), 0)
+    except (UnusableInputError, ValueError):
         return None
 
 

@@ -130,6 +130,13 @@ def object_flags(path: Path) -> dict[tuple[int, int], int]:
     return {(index, sub or 0): value for (index, sub), value in flags.items() if value}
 
 
+def option(path: Path, section: str, key: str) -> str:
+    """Text of a key in a section of a file, both in any case; "" without it. Raises UnusableInputError."""
+    found = _sections(path, _as_of(path)).get(section.lower())
+    options = {} if found is None else {name.lower(): text for name, text in found.options.items()}
+    return options.get(key.lower(), "")
+
+
 def require_integers(od: canopen.ObjectDictionary, indices: Container[int]) -> None:
     """Raise UnusableInputError for the first of these objects that is something else in the file."""
     for found in all_variables(od):
@@ -173,13 +180,19 @@ def find(od: canopen.ObjectDictionary, key: int | str) -> ODVariable:
 
 def variable(od: canopen.ObjectDictionary, index: int, sub: int) -> ODVariable:
     """The variable at index and sub-index. Raises KeyError."""
-    entry = od.indices.get(index)
-    if entry is None:
-        raise KeyError(f"no object {index:04X}h")
-    # canopen's arrays invent members on access; only those of the file count.
-    found = (entry if sub == 0 else None) if isinstance(entry, ODVariable) else entry.subindices.get(sub)
+    found = known(od, index, sub)
     if found is None:
-        raise KeyError(f"{index:04X}h has no sub-index {sub}")
+        raise KeyError(f"{index:04X}h has no sub-index {sub}" if index in od.indices else f"no object {index:04X}h")
+    return found
+
+
+def known(od: canopen.ObjectDictionary, index: int, sub: int) -> ODVariable | None:
+    """The variable at index and sub-index; None: there is none."""
+    entry = od.indices.get(index)
+    if entry is None or isinstance(entry, ODVariable):
+        return entry if sub == 0 else None
+    # canopen's arrays invent members on access; only those of the file count.
+    found: ODVariable | None = entry.subindices.get(sub)
     return found
 
 

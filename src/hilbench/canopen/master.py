@@ -172,11 +172,7 @@ class Master(SdoClient):
 
     def has(self, node_id: int, index: int, sub: int = 0) -> bool:
         """True if the node's EDS has the object."""
-        try:
-            eds.variable(self._network[node_id].object_dictionary, index, sub)
-        except KeyError:
-            return False
-        return True
+        return eds.known(self._network[node_id].object_dictionary, index, sub) is not None
 
     # -- PDOs --------------------------------------------------------------------------------------------
 
@@ -235,12 +231,12 @@ class Master(SdoClient):
     # -- messages ----------------------------------------------------------------------------------------
 
     def _variable(self, node_id: int, index: int, sub: int) -> ODVariable:
-        try:
-            return eds.variable(self._network[node_id].object_dictionary, index, sub)
-        except KeyError:
+        found = eds.known(self._network[node_id].object_dictionary, index, sub)
+        if found is None:
             raise BenchFaultError(
                 f"{self._names[node_id]} (node {node_id}): its EDS has no object {index:04X}h sub {sub}"
-            ) from None
+            )
+        return found
 
     def _place(self, node_id: int, variable: ODVariable) -> str:
         return (

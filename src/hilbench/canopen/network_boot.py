@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from configparser import ConfigParser
-from configparser import Error as ConfigParserError
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -217,12 +215,14 @@ def _await_heartbeat(master: Master, slave: Slave) -> None:
 
 
 def _number(od: canopen.ObjectDictionary, index: int, sub: int) -> int:
-    try:
-        found = eds.variable(od, index, sub)
-    except KeyError:
-        return 0
-    value = found.default if found.value is None else found.value
+    value = _value(od, index, sub)
     return value if isinstance(value, int) else 0
+
+
+def _value(od: canopen.ObjectDictionary, index: int, sub: int) -> object:
+    """Parameter value of a DCF, else the default; None without either."""
+    found = eds.known(od, index, sub)
+    return None if found is None else found.default if found.value is None else found.value
 
 
 def _heartbeats_s(od: canopen.ObjectDictionary) -> Iterator[tuple[int, float]]:
@@ -235,16 +235,9 @@ def _heartbeats_s(od: canopen.ObjectDictionary) -> Iterator[tuple[int, float]]:
 
 def _upload_files(path: Path) -> dict[int, Path]:
     """Files that 1F22h names, by node id."""
-    sections = ConfigParser(strict=False, interpolation=None, inline_comment_prefixes=(";",))
-    try:
-        sections.read_string(path.read_text(encoding="utf-8-sig", errors="replace"))
-    except (OSError, ConfigParserError) as error:
-        raise UnusableInputError(path, f"cannot be read ({error}), expected a DCF") from error
-    return {
-        node_id: path.parent / name
-        for node_id in range(1, LAST_NODE + 1)
-        if (name := sections.get(f"1F22sub{node_id:X}", "UploadFile", fallback=""))
-    }
+    nodes = range(1, LAST_NODE + 1)
+    names = {node_id: eds.option(path, f"1F22sub{node_id:X}", "UploadFile") for node_id in nodes}
+    return {node_id: path.parent / name for node_id, name in names.items() if name}
 
 
 def _configuration(
@@ -256,11 +249,7 @@ def _configuration(
         with usable(place, "read", f"the concise DCF of node {node_id} (1F22h)"):
             block = content(place, eds.MOST_BYTES)
     else:
-        try:
-            found = eds.variable(od, _CONCISE_DCF, node_id)
-        except KeyError:
-            return []
-        value = found.default if found.value is None else found.value
+        value = _value(od, _CONCISE_DCF, node_id)
         block = value if isinstance(value, bytes) else b""
     try:
         return concise_dcf.decode(block) if block else []

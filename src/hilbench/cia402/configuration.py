@@ -123,7 +123,7 @@ def drive_pdos(settings: DriveSettings, od: ObjectDictionary) -> DrivePdos:
 
 def _number(od: ObjectDictionary, communication: int, numbers: tuple[int, int]) -> int:
     """The first of these PDOs that the EDS has."""
-    return next((number for number in numbers if _has(od, communication + number - 1, 1)), numbers[0])
+    return next((number for number in numbers if eds.known(od, communication + number - 1, 1)), numbers[0])
 
 
 def _pdo_map(
@@ -162,7 +162,7 @@ def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdo
         _write(master, settings, od, index, sub, value)
     set_mode(master, settings, od)
     _set_interpolation_period(master, settings, od)
-    if _has(od, PRODUCER_HEARTBEAT, 0):  # without it the drive is watched by its TPDOs alone
+    if eds.known(od, PRODUCER_HEARTBEAT, 0):  # without it the drive is watched by its TPDOs alone
         _write(master, settings, od, PRODUCER_HEARTBEAT, 0, settings.heartbeat_ms)
     if settings.master_heartbeat is not None:
         master_id, time_out_ms = settings.master_heartbeat
@@ -172,7 +172,7 @@ def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdo
     unused = [RPDO_COMMUNICATION + number - 1 for number in {*rpdo_numbers(axis)} - {pdos.rpdo_number}]
     unused += [TPDO_COMMUNICATION + number - 1 for number in numbers - sent.keys()]
     for communication in sorted(unused):  # by default they may have the identifiers that the others get
-        if _has(od, communication, 1):
+        if eds.known(od, communication, 1):
             master.disable_pdo(node_id, communication)
     for communication in _of_no_axis(od):
         master.disable_pdo(node_id, communication)
@@ -240,7 +240,7 @@ def read_units(
 
     def read(index: int, sub: int) -> int | float | None:
         index = object_of(axis, index)
-        value = master.sdo_read(node_id, index, sub) if _has(od, index, sub) else None
+        value = master.sdo_read(node_id, index, sub) if eds.known(od, index, sub) else None
         return value if isinstance(value, int | float) else None
 
     return DriveUnits.from_objects(read, overrides, place)
@@ -254,9 +254,9 @@ def default_reader(
 
     def read(index: int, sub: int) -> int | float | None:
         index = object_of(axis, index)
-        if (index, sub) in known and _has(od, index, sub):
+        if (index, sub) in known and eds.known(od, index, sub):
             return known[(index, sub)]
-        default = eds.variable(od, index, sub).default if _has(od, index, sub) else None
+        default = getattr(eds.known(od, index, sub), "default", None)
         return default if isinstance(default, int | float) else None
 
     return read
@@ -267,7 +267,7 @@ def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
     written: dict[tuple[int, int], tuple[int | float, str]] = {
         (settings.object(objects.MODES_OF_OPERATION), 0): (int(settings.mode), "the mode is written to it"),
     }
-    if _has(od, PRODUCER_HEARTBEAT, 0):
+    if eds.known(od, PRODUCER_HEARTBEAT, 0):
         written[PRODUCER_HEARTBEAT, 0] = settings.heartbeat_ms, "the drive's heartbeat is set by it"
     if settings.master_heartbeat is not None:
         master_id, time_out_ms = settings.master_heartbeat
@@ -291,9 +291,11 @@ def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
         for sub, value in enumerate((len(pdo.mapping), *pdo.mapping)):
             written[communication + MAPPING, sub] = value, "a PDO is mapped by it"
     needed |= {key: why for key, (_, why) in written.items()}
-    found += [f"{index:04X}h:{sub} ({why})" for (index, sub), why in needed.items() if not _has(od, index, sub)]
+    found += [
+        f"{index:04X}h:{sub} ({why})" for (index, sub), why in needed.items() if eds.known(od, index, sub) is None
+    ]
     for (index, sub), (value, why) in written.items():
-        variable = _variable(od, index, sub)
+        variable = eds.known(od, index, sub)
         if variable is not None and not _takes(variable, value, read(index, sub)):
             shown = f"{value:08X}h" if index in _MAPPINGS and sub else str(value)
             found.append(f"{index:04X}h:{sub} that takes {shown} ({why}), which {_range_text(variable)}")
@@ -311,7 +313,7 @@ def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
 
 def _other_cob_id(od: ObjectDictionary, communication: int, cob_id: int) -> list[str]:
     """The COB-ID of a PDO that is read-only and another one than the bench gives it."""
-    variable, has = _variable(od, communication, 1), default_reader(od)(communication, 1)
+    variable, has = eds.known(od, communication, 1), default_reader(od)(communication, 1)
     if variable is None or variable.writable or has is None or int(has) & (INVALID | COB_ID) == cob_id:
         return []
     return [f"{communication:04X}h:1 that takes {cob_id:X}h (a PDO is set up by it), which {_range_text(variable)}"]
@@ -331,21 +333,10 @@ def _range_text(variable: ODVariable) -> str:
     return " ".join(("goes", *(f"{word} {limit}" for word, limit in limits)))
 
 
-def _has(od: ObjectDictionary, index: int, sub: int) -> bool:
-    return _variable(od, index, sub) is not None
-
-
-def _variable(od: ObjectDictionary, index: int, sub: int) -> ODVariable | None:
-    try:
-        return eds.variable(od, index, sub)
-    except KeyError:
-        return None
-
-
 def interpolation_period(settings: DriveSettings, od: ObjectDictionary, read: ObjectReader) -> dict[int, int] | None:
     """60C2h:1 and :2 for the cycle, of what the drive lets be written or has (`read`); empty without that object, None
     where it can't express the cycle."""
-    variables = [_variable(od, settings.object(objects.INTERPOLATION_TIME_PERIOD), sub) for sub in (1, 2)]
+    variables = [eds.known(od, settings.object(objects.INTERPOLATION_TIME_PERIOD), sub) for sub in (1, 2)]
     if variables[1] is None:
         return {}
     has = [
@@ -379,7 +370,7 @@ def _set_interpolation_period(master: Master, settings: DriveSettings, od: Objec
 def _write(
     master: Master, settings: DriveSettings, od: ObjectDictionary, index: int, sub: int, value: int | float
 ) -> None:
-    variable = _variable(od, index, sub)
+    variable = eds.known(od, index, sub)
     if variable is None:
         raise UnusableInputError(
             settings.name, f"the EDS lacks {index:04X}h:{sub}, expected it: it is to be set to {value}"

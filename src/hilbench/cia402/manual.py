@@ -128,7 +128,7 @@ class ManualDrive:
     def enable(self, mode: OperationMode = OperationMode.PROFILE_VELOCITY) -> None:
         """Bring it to OPERATION ENABLED in a profile mode, at standstill. A fault is not reset on the way."""
         if self._state() is State.FAULT:
-            raise self._fault("is in FAULT, expected a drive without one: reset it first")
+            raise self.fault("is in FAULT, expected a drive without one: reset it first")
         if mode in _RESTING_TARGETS:
             self.write(_RESTING_TARGETS[mode], 0)
         elif mode is OperationMode.PROFILE_POSITION:
@@ -180,7 +180,7 @@ class ManualDrive:
         """Ramp to a velocity of the motor (6083h, 6084h). Raises BenchFaultError when its units are not known."""
         if self._units is None:
             unit = self.object(objects.SI_UNIT_VELOCITY)
-            raise self._fault(f"does not define its velocity unit ({unit:X}h), expected it: give units in --config")
+            raise self.fault(f"does not define its velocity unit ({unit:X}h), expected it: give units in --config")
         self.enabled_statusword()
         self.write(objects.TARGET_VELOCITY, round(velocity_rad_s / self._units.velocity_rad_s))
 
@@ -190,7 +190,7 @@ class ManualDrive:
         state = decode_statusword(statusword)
         if state is not State.OPERATION_ENABLED:
             label = "no state of CiA 402" if state is None else state.label
-            raise self._fault(f"left OPERATION ENABLED, is in {label}, {self._error_code()}")
+            raise self.fault(f"left OPERATION ENABLED, is in {label}, {self._error_code()}")
         return statusword
 
     def stop(self) -> None:
@@ -204,9 +204,9 @@ class ManualDrive:
         deadline_s = time.monotonic() + self._time_out_s
         while (state := self._state()) is not goal:
             if state is State.FAULT and not from_fault:
-                raise self._fault(f"went into FAULT on its way to {goal.label}, {self._error_code()}")
+                raise self.fault(f"went into FAULT on its way to {goal.label}, {self._error_code()}")
             if time.monotonic() > deadline_s:
-                raise self._fault(f"hung in {state.label} for {self._time_out_s:g} s, wanted {goal.label}")
+                raise self.fault(f"hung in {state.label} for {self._time_out_s:g} s, wanted {goal.label}")
             self.write(objects.CONTROLWORD, controlword(state))
             self._pause()
 
@@ -221,7 +221,7 @@ class ManualDrive:
         statusword = self._statusword()
         state = decode_statusword(statusword)
         if state is None:
-            raise self._fault(f"statusword {statusword:04X}h shows no state that CiA 402 knows")
+            raise self.fault(f"statusword {statusword:04X}h shows no state that CiA 402 knows")
         return state
 
     def _error_code(self) -> str:
@@ -231,7 +231,8 @@ class ManualDrive:
     def _read(self, index: int) -> int | None:
         return self.read(index) if self.has(index) else None
 
-    def _fault(self, problem: str) -> BenchFaultError:
+    def fault(self, problem: str) -> BenchFaultError:
+        """The error of this drive."""
         return BenchFaultError(f"{self.name}: {problem}")
 
 

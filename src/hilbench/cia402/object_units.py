@@ -8,39 +8,46 @@ from hilbench.cia402 import objects
 from hilbench.cia402.axis import of_first_axis
 from hilbench.cia402.units import RPM, DriveUnits
 
-_POSITIONS: Final = frozenset(
-    {
-        objects.POSITION_DEMAND_VALUE,
-        objects.POSITION_ACTUAL_VALUE,
-        objects.FOLLOWING_ERROR_WINDOW,
-        objects.TARGET_POSITION,
-        objects.HOME_OFFSET,
-        objects.FOLLOWING_ERROR_ACTUAL_VALUE,
-    }
-)
-_VELOCITIES: Final = frozenset(
-    {
-        objects.VELOCITY_DEMAND_VALUE,
-        objects.VELOCITY_ACTUAL_VALUE,
-        objects.VELOCITY_WINDOW,
-        objects.VELOCITY_THRESHOLD,
-        objects.MAX_PROFILE_VELOCITY,
-        objects.VELOCITY_OFFSET,
-        objects.TARGET_VELOCITY,
-    }
-)
-_ACCELERATIONS: Final = frozenset(
-    {objects.PROFILE_ACCELERATION, objects.PROFILE_DECELERATION, objects.QUICK_STOP_DECELERATION}
-)
-_TORQUES: Final = frozenset(
-    {
-        objects.TARGET_TORQUE,
-        objects.MAX_TORQUE,
-        objects.TORQUE_DEMAND,
-        objects.TORQUE_ACTUAL_VALUE,
-        objects.TORQUE_OFFSET,
-    }
-)
+#: Objects in the drive's own units: the unit's factor in `DriveUnits`, and its name in SI.
+_OF_DRIVE: Final = {
+    **dict.fromkeys(
+        (
+            objects.POSITION_DEMAND_VALUE,
+            objects.POSITION_ACTUAL_VALUE,
+            objects.FOLLOWING_ERROR_WINDOW,
+            objects.TARGET_POSITION,
+            objects.HOME_OFFSET,
+            objects.FOLLOWING_ERROR_ACTUAL_VALUE,
+        ),
+        ("position_rad", "rad"),
+    ),
+    **dict.fromkeys(
+        (
+            objects.VELOCITY_DEMAND_VALUE,
+            objects.VELOCITY_ACTUAL_VALUE,
+            objects.VELOCITY_WINDOW,
+            objects.VELOCITY_THRESHOLD,
+            objects.MAX_PROFILE_VELOCITY,
+            objects.VELOCITY_OFFSET,
+            objects.TARGET_VELOCITY,
+        ),
+        ("velocity_rad_s", "rad/s"),
+    ),
+    **dict.fromkeys(
+        (objects.PROFILE_ACCELERATION, objects.PROFILE_DECELERATION, objects.QUICK_STOP_DECELERATION),
+        ("acceleration_rad_s2", "rad/s²"),
+    ),
+    **dict.fromkeys(
+        (
+            objects.TARGET_TORQUE,
+            objects.MAX_TORQUE,
+            objects.TORQUE_DEMAND,
+            objects.TORQUE_ACTUAL_VALUE,
+            objects.TORQUE_OFFSET,
+        ),
+        ("torque_Nm", "N·m"),
+    ),
+}
 #: Objects whose unit does not depend on the drive.
 _FIXED: Final = {
     0x1006: (1e-6, "s"),
@@ -56,7 +63,7 @@ _FIXED: Final = {
 
 def has_drive_unit(index: int) -> bool:
     """True if an object's unit is one of the drive's own."""
-    return of_first_axis(index) in _POSITIONS | _VELOCITIES | _ACCELERATIONS | _TORQUES
+    return of_first_axis(index) in _OF_DRIVE
 
 
 def si_unit(index: int, units: DriveUnits | None) -> tuple[float, str] | None:
@@ -67,12 +74,7 @@ def si_unit(index: int, units: DriveUnits | None) -> tuple[float, str] | None:
     index = of_first_axis(index)
     if index in _FIXED:
         return _FIXED[index]
-    if units is None:
+    if units is None or index not in _OF_DRIVE:
         return None
-    if index in _POSITIONS:
-        return units.position_rad, "rad"
-    if index in _VELOCITIES:
-        return units.velocity_rad_s, "rad/s"
-    if index in _ACCELERATIONS:
-        return units.acceleration_rad_s2, "rad/s²"
-    return (units.torque_Nm, "N·m") if index in _TORQUES else None
+    factor, unit = _OF_DRIVE[index]
+    return getattr(units, factor), unit

@@ -25,7 +25,7 @@ from hilbench.cia402.state_machine import (
     decode_statusword,
 )
 from hilbench.cia402.units import RPM, DriveUnits
-from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.errors import UnusableInputError
 
 _STEP_S: Final = 0.02
 _ENABLED: Final = Command.ENABLE_OPERATION.value
@@ -184,7 +184,7 @@ class SetUpDrive:
             moving=True,
         )
         if ended & STATUS_MODE_13:
-            raise self._fault(f"homing method {used} failed: statusword {ended:04X}h, bit 13")
+            raise self.drive.fault(f"homing method {used} failed: statusword {ended:04X}h, bit 13")
         self.drive.write(objects.CONTROLWORD, _ENABLED)
         return used
 
@@ -234,7 +234,7 @@ class SetUpDrive:
             self._look()
             velocity = self.drive.status().velocity_rad_s if speed_limit_rad_s < inf else None
             if velocity is not None and abs(velocity) > speed_limit_rad_s:
-                raise self._fault(f"turns with {velocity:.4g} rad/s, the limit is {speed_limit_rad_s:g} rad/s")
+                raise self.drive.fault(f"turns with {velocity:.4g} rad/s, the limit is {speed_limit_rad_s:g} rad/s")
             time.sleep(_STEP_S)
 
     # --- waiting ------------------------------------------------------------------------------------------------------
@@ -251,7 +251,9 @@ class SetUpDrive:
             if moving and abs((now := self._place()) - place) > _STANDSTILL_UNITS:
                 deadline_s, place = time.monotonic() + self._time_out_s, now
             if time.monotonic() > deadline_s:
-                raise self._fault(f"stood still for {self._time_out_s:g} s, expected {what}; statusword {word:04X}h")
+                raise self.drive.fault(
+                    f"stood still for {self._time_out_s:g} s, expected {what}; statusword {word:04X}h"
+                )
             time.sleep(_STEP_S)
         return word
 
@@ -271,9 +273,6 @@ class SetUpDrive:
             yield
         finally:
             self.drive.write(index, before)
-
-    def _fault(self, problem: str) -> BenchFaultError:
-        return BenchFaultError(f"{self.drive.name}: {problem}")
 
 
 def usable(drive: SetUpDrive) -> dict[OperationMode, Sequence[str]]:

@@ -24,6 +24,7 @@ from hilbench.compiled import (
     table_of,
 )
 from hilbench.cycle_program import CONTINUE, CompiledStage, never
+from hilbench.topology.process_data.table import SimulatedTorque
 from hilbench.topology.sample import CycleSample
 
 #: What is measured of a drive (SI), and where that is in a sample (-1: nowhere).
@@ -121,18 +122,9 @@ class ShownBy:
         return self.position, self.velocity, self.torque, self.statusword
 
 
-@dataclass(frozen=True)
-class SimulatedTorque:
-    """A torque of an axis (from 1) that the twin reports by its residual, as a signal in addition."""
-
-    axis: int
-    signal: str
-    residual: str
-
-
 class Measured:
     """Vectors of the measurements. `of_drives` (4 D,); `virtual_io` (S,): the twin's signals, TPDO by TPDO, then
-    the torques that follow from residuals; `came` (P,): 1 where a TPDO of the twin arrived in this cycle;
+    the `torques` that follow from residuals; `came` (P,): 1 where a TPDO of the twin arrived in this cycle;
     `counted`: a record `COUNTED`.
 
     `sent_by`: the signals of each TPDO of the twin.
@@ -155,7 +147,7 @@ class Measured:
             (place, len(names) + at, names.index(each.residual), brought_by[each.residual])
             for at, (place, each) in enumerate(zip(measured, torques, strict=True))
         ]
-        names += [each.signal for each in torques]
+        names += [each.name for each in torques]
         self.of_drives, self.virtual_io = np.zeros(OF_DRIVE * len(drives)), np.zeros(len(names))
         self.came, self.counted = np.zeros(len(sent_by), np.int64), np.zeros(1, COUNTED)
         places = [tuple(kind.place(name) if name else _NOWHERE for name in drive.signals) for drive in drives]

@@ -25,7 +25,7 @@ from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.cia402 import configuration, objects
 from hilbench.cia402.axis import MOST_AXES, is_of, object_of, of_first_axis
 from hilbench.exchange.addressing import drive_settings
-from hilbench.exchange.parallel import ForEachNode
+from hilbench.exchange.nodes import ForEachNode
 from hilbench.json_file import JsonFile
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from math import isclose
 from typing import Any, Final
@@ -25,10 +25,9 @@ from hilbench.exchange.addressing import IoMaps, declared_units, drive_settings
 from hilbench.exchange.answers import Tpdo
 from hilbench.exchange.effect_objects import effect_place
 from hilbench.exchange.emergencies import Emergency, EmergencyInbox
-from hilbench.exchange.measured import OF_DRIVE, Measured, ShownBy, SimulatedTorque, twin_age_cycles
-from hilbench.exchange.parallel import ForEachNode
+from hilbench.exchange.measured import OF_DRIVE, Measured, ShownBy, twin_age_cycles
 from hilbench.exchange.sync_cycle import ExpectedPdo
-from hilbench.exchange.unexpected_senders import Owned, Unexpected, UnexpectedSenders
+from hilbench.exchange.unexpected_senders import Unexpected, UnexpectedSenders
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
 from hilbench.topology.sample import sample_type
@@ -51,6 +50,8 @@ _FOLLOWS: Final = Command.ENABLE_OPERATION.value
 
 #: How a part of a bench, by its EDS file, is configured.
 SettingsOf = Callable[[BenchConfig, Part, canopen.ObjectDictionary], DriveSettings]
+#: Like `map` or `Executor.map`: results in node order; the first failure in this order is raised.
+ForEachNode = Callable[..., Iterator[Any]]
 
 
 class Nodes:
@@ -79,10 +80,6 @@ class Nodes:
             (pdo, tuple(signal.name for signal in content.signals))
             for pdo, content in zip(self.io.boundary, self.io.data.boundary, strict=True)
         ]
-        self._virtual_io_values = [
-            (pdo, tuple(signal.name for signal in content.signals))
-            for pdo, content in zip(self.io.sent, self.io.data.sent, strict=True)
-        ]
         self._rad_per_unit = [config.machine.motor_rad_per_unit(axis) for axis in range(1, len(self.axes) + 1)]
         # Of a velocity the machine's unit to motor rad, of a torque 1.
         factors = [1.0 if axis in config.shape.torqued else k for axis, k in enumerate(self._rad_per_unit, 1)]
@@ -101,11 +98,13 @@ class Nodes:
         }
         self._ods_of_nodes = {node_id: self._ods[there[0].name] for node_id, there in on_nodes.items()}
         self._master: Master | None = None
-        torques = [SimulatedTorque(each.axis, each.name, each.residual) for each in self.io.data.torques]
         self._shown_by = self._drive_signals()
         #: What drives and twin have answered.
         self.measured = Measured(
-            sample_type(config.signals), self._shown_by, [names for _, names in self._virtual_io_values], torques
+            sample_type(config.signals),
+            self._shown_by,
+            [[signal.name for signal in content.signals] for content in self.io.data.sent],
+            self.io.data.torques,
         )
         self.fill = self.measured.fill
         self._status_cob_id = self.io.status.cob_id
@@ -199,15 +198,12 @@ class Nodes:
     def introduce(self, master: Master) -> None:
         """Make all nodes known to the master."""
         self._master = master
-        self._watch = UnexpectedSenders(self._owned(), master.sent.take)
-        for node_id, names in self._known.items():
-            master.add(node_id, self._ods_of_nodes[node_id], names)
-
-    def _owned(self) -> Owned:
-        """Frames that belong on the bus, with their senders."""
         rpdos = {cob_id: self.sender(drive) for drive in self.drives for cob_id in drive.rpdo_cob_ids}
         rpdos |= {pdo.cob_id: self.twin_name for pdo in self.io.boundary}
-        return Owned(self.config.master.node_id, self._known, self._ods_of_nodes, rpdos)
+        our_id = self.config.master.node_id
+        self._watch = UnexpectedSenders(our_id, self._known, self._ods_of_nodes, rpdos, master.sent.take)
+        for node_id, names in self._known.items():
+            master.add(node_id, self._ods_of_nodes[node_id], names)
 
     def configure_drives(self, master: Master, for_each_node: ForEachNode = map) -> None:
         """Configure axes and load motors by SDO. Raises BenchFaultError naming node, object and reason."""
@@ -386,7 +382,7 @@ class Nodes:
         """Take status, simulated and estimated signals of the twin from its answers to this SYNC."""
         measured = self.measured
         self._take_status(data.get(self._status_cob_id))
-        for at, ((pdo, _), part) in enumerate(zip(self._virtual_io_values, measured.parts, strict=True)):
+        for at, (pdo, part) in enumerate(zip(self.io.sent, measured.parts, strict=True)):
             content = data.get(pdo.cob_id)
             measured.came[at] = content is not None
             if content is not None:

@@ -46,32 +46,28 @@ class Unexpected:
     certain: bool
 
 
-@dataclass(frozen=True)
-class Owned:
-    """Legitimate senders: `nodes` by id, with their object dictionaries, and the frames that only the bench sends."""
-
-    master_id: int
-    nodes: Mapping[int, str]
-    dictionaries: Mapping[int, canopen.ObjectDictionary]
-    rpdos: Mapping[int, str]  #: COB-IDs of the set points, and their receivers
-
-
 class UnexpectedSenders:
-    """Detects foreign frames in each cycle. `sent`: true once for each frame that the bench's configuration sent."""
+    """Detects foreign frames in each cycle.
 
-    def __init__(self, owned: Owned, sent: Callable[[int, bytes], bool]) -> None:
-        self._owned = owned
-        self._sent = sent
-        ours = {
-            SYNC: "SYNC",
-            HEARTBEAT + owned.master_id: "heartbeat",
-            SDO_ANSWER + owned.master_id: "SDO answer",
-        }
+    `nodes`: names by id, with their object dictionaries; `rpdos`: COB-IDs of the set points, and their receivers;
+    `sent`: true once for each frame that the bench's configuration sent.
+    """
+
+    def __init__(
+        self,
+        master_id: int,
+        nodes: Mapping[int, str],
+        dictionaries: Mapping[int, canopen.ObjectDictionary],
+        rpdos: Mapping[int, str],
+        sent: Callable[[int, bytes], bool],
+    ) -> None:
+        self._nodes, self._dictionaries, self._sent = nodes, dictionaries, sent
+        ours = {SYNC: "SYNC", HEARTBEAT + master_id: "heartbeat", SDO_ANSWER + master_id: "SDO answer"}
         self._read: dict[int, Callable[[int, bytes], _Finding | None]] = {
             NMT: self._nmt,
             **{can_id: self._only_ours("the bench", what) for can_id, what in ours.items()},
-            **{can_id: self._only_ours(whom, "RPDO") for can_id, whom in owned.rpdos.items()},
-            **{SDO_REQUEST + node_id: self._sdo for node_id in owned.nodes},
+            **{can_id: self._only_ours(whom, "RPDO") for can_id, whom in rpdos.items()},
+            **{SDO_REQUEST + node_id: self._sdo for node_id in nodes},
         }
         self._seen: dict[tuple[int, bytes], _Finding | None] = {}  # of this cycle: alike frames are looked at once
         self._kinds: dict[int, int] = {}
@@ -139,7 +135,7 @@ class UnexpectedSenders:
         if len(data) != 2:
             return None
         command, node_id = data
-        if node_id != 0 and node_id not in self._owned.nodes:
+        if node_id != 0 and node_id not in self._nodes:
             return None
         name = _COMMANDS.get(command, f"command {command}")
         return "all nodes" if node_id == 0 else self._name(node_id), f"NMT '{name}' that the bench has not sent"
@@ -153,7 +149,7 @@ class UnexpectedSenders:
         return (self._name(node_id), "SDO abort by another station") if specifier == _ABORT else None
 
     def _name(self, node_id: int) -> str:
-        return f"{self._owned.nodes[node_id]} (node {node_id})"
+        return f"{self._nodes[node_id]} (node {node_id})"
 
     def _object(self, node_id: int, data: bytes) -> str:
         """Object and, of an expedited download, value of a request that begins one (CiA 301, 7.2.4.3.3)."""
@@ -161,9 +157,8 @@ class UnexpectedSenders:
         place = f"{index:04X}h sub {sub}"
         expedited = data[0] >> 5 == _DOWNLOAD and data[0] & 2
         content = data[4 : 8 - (data[0] >> 2 & 3 if data[0] & 1 else 0)] if expedited else b""
-        try:
-            variable = eds.variable(self._owned.dictionaries[node_id], index, sub)
-        except KeyError:
+        variable = eds.known(self._dictionaries[node_id], index, sub)
+        if variable is None:
             return f"{place} = {content.hex(' ')}" if content else place
         value = f" = {_value(variable.data_type or 0, content)}" if content else ""
         return f"{place} '{variable.name}'{value}"

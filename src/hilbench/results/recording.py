@@ -336,7 +336,21 @@ def check_recording(recording: Recording, place: Path) -> None:
     """Raise UnusableInputError, naming `place`, unless the time is there, finite and strictly increasing."""
     if TIME not in recording:
         recording.require([TIME], place)
-    _check_time(recording.time_s, place)
+    time_s = recording.time_s
+    _check_count(len(time_s), place)
+    finite = np.isfinite(time_s)
+    if not finite.all():
+        raise UnusableInputError(
+            place, f"{TIME} of sample {int(np.argmin(finite)) + 1} is no finite number, expected a time in s"
+        )
+    steps = np.diff(time_s)
+    if not (steps > 0).all():
+        at = int(np.argmin(steps > 0))
+        raise UnusableInputError(
+            place,
+            f"{TIME} goes from {time_s[at]:g} s to {time_s[at + 1]:g} s in sample {at + 2},"
+            " expected a strictly increasing time",
+        )
 
 
 def _kind(path: Path) -> str:
@@ -350,23 +364,6 @@ def _kind(path: Path) -> str:
 def _check_count(samples: int, path: Path) -> None:
     if samples < LEAST_SAMPLES:
         raise UnusableInputError(path, f"{samples} sample(s), expected at least {LEAST_SAMPLES}")
-
-
-def _check_time(time_s: NDArray[np.float64], path: Path) -> None:
-    _check_count(len(time_s), path)
-    finite = np.isfinite(time_s)
-    if not finite.all():
-        raise UnusableInputError(
-            path, f"{TIME} of sample {int(np.argmin(finite)) + 1} is no finite number, expected a time in s"
-        )
-    steps = np.diff(time_s)
-    if not (steps > 0).all():
-        at = int(np.argmin(steps > 0))
-        raise UnusableInputError(
-            path,
-            f"{TIME} goes from {time_s[at]:g} s to {time_s[at + 1]:g} s in sample {at + 2},"
-            " expected a strictly increasing time",
-        )
 
 
 def _is_in_pieces(path: Path) -> bool:
@@ -394,13 +391,6 @@ def _from_columns(pieces: MdfPieces, found: Mapping[str, NDArray[Any]]) -> Recor
     return Recording(channels, start, pieces.comment, units, pieces.rows)
 
 
-def _read_pieces(path: Path) -> Recording:
-    pieces = MdfPieces(path)
-    if pieces.rows * len(pieces.columns) <= MOST_VALUES:
-        return _of_pieces(pieces, pieces)
-    return _from_columns(pieces, reduced(pieces, partial(_events_beside, path)))
-
-
 def _events_beside(path: Path, cycle_time_s: float) -> list[Event]:
     """Events by the journal of the run that left a recording."""
     journal = path.with_name("journal.log")
@@ -409,7 +399,10 @@ def _events_beside(path: Path, cycle_time_s: float) -> list[Event]:
 
 def _read_mdf(path: Path) -> Recording:
     if _is_in_pieces(path):
-        return _read_pieces(path)
+        pieces = MdfPieces(path)
+        if pieces.rows * len(pieces.columns) <= MOST_VALUES:
+            return _of_pieces(pieces, pieces)
+        return _from_columns(pieces, reduced(pieces, partial(_events_beside, path)))
     channels, units, start, comment = read_mdf(path)
     return Recording(channels, None if start == NO_START_TIME else start, comment, units)
 
@@ -417,8 +410,11 @@ def _read_mdf(path: Path) -> Recording:
 def _read_csv(path: Path) -> Recording:
     names, rows = read_table(path)
     columns = {name: typed(name, np.ascontiguousarray(rows[:, index])) for index, name in enumerate(names)}
-    ordered = {TIME: columns.pop(TIME), **columns} if TIME in columns else columns
-    return Recording(ordered)
+    return Recording(_time_first(columns))
+
+
+def _time_first(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return dict(sorted(columns.items(), key=lambda entry: entry[0] != TIME))
 
 
 def _read_parquet(path: Path) -> Recording:
@@ -437,7 +433,6 @@ def _parquet_channels(table: Any, pyarrow: Any) -> Recording:
         for field in table.schema
         if pyarrow.types.is_floating(field.type) or pyarrow.types.is_integer(field.type)
     }
-    ordered = {TIME: columns.pop(TIME), **columns} if TIME in columns else columns
     units = {
         field.name: field.metadata[b"unit"].decode()
         for field in table.schema
@@ -445,7 +440,7 @@ def _parquet_channels(table: Any, pyarrow: Any) -> Recording:
     }
     about = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     start = datetime.fromisoformat(about["start_time"]) if "start_time" in about else None
-    return Recording(ordered, start, about.get("comment", ""), units)
+    return Recording(_time_first(columns), start, about.get("comment", ""), units)
 
 
 _READERS = {".mf4": _read_mdf, ".csv": _read_csv, ".csv.gz": _read_csv, ".parquet": _read_parquet}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Container, Sequence
 from datetime import datetime
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,12 +118,18 @@ class RecordingBuilder:
         """Recording of what was recorded so far, as a copy; counts and bit fields become integers where every
         sample is one."""
         rows = np.concatenate([*self._full, self.block[: self._at[0]]])
-        whole = rows.view(np.int64)
-        channels = {
-            name: typed(name, np.ascontiguousarray((whole if is_whole else rows)[:, column], np.float64))
-            for column, (name, is_whole) in enumerate(zip(self.names, self.whole, strict=True))
-        }
+        columns = columns_of(rows, self.names, self.whole)
+        channels = {name: typed(name, np.ascontiguousarray(each, np.float64)) for name, each in columns.items()}
         return Recording(channels, start_time, comment)
+
+
+def columns_of(rows: NDArray[np.float64], names: Sequence[str], whole: Sequence[bool]) -> dict[str, NDArray[Any]]:
+    """Channels of rows (n, m), whose whole ones are int64."""
+    integers = rows.view(np.int64)
+    return {
+        name: (integers if is_whole else rows)[:, at]
+        for at, (name, is_whole) in enumerate(zip(names, whole, strict=True))
+    }
 
 
 class Recorder(RecordingBuilder):

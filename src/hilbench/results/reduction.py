@@ -7,7 +7,7 @@ Counts and bit fields are those of these samples. No spike is lost.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -15,12 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.arrays import Array
-from hilbench.results.mdf import MdfPieces
+from hilbench.results.mdf import Columns, MdfPieces
 from hilbench.runs.events import Event, signal_events
 from hilbench.topology.main_quantities.of_kind import recorded_quantities
 from hilbench.topology.signal_kinds import TIME
-
-Columns = Mapping[str, NDArray[Any]]
 
 #: Values of a recording that are kept in memory; of a longer one it is made as short as that. 24 MB: with what
 #: consists of them that, beside a process of 290 MB with all its machine code, is below 400 MB.

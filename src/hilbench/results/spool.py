@@ -26,7 +26,7 @@ from hilbench.errors import BenchFaultError
 from hilbench.files import usable
 from hilbench.results.mdf import MdfPieces, MdfWriter
 from hilbench.results.recording import BLOCK_ROWS, LEAST_SAMPLES, Recording, column_of, read_rows, section_of
-from hilbench.results.recording_builder import Recorder
+from hilbench.results.recording_builder import Recorder, columns_of
 from hilbench.results.reduction import STRETCH_S, FullRate, Survey, thinned
 from hilbench.results.run_folder import RunFolder
 from hilbench.topology.signal_kinds import TIME, Signal
@@ -225,15 +225,6 @@ class _Times:
 
     def thinned(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         return thinned(columns, FullRate.around((0.0, *tuple(self._events_s), *self._survey.times_s)), self._stretch)
-
-
-def columns_of(rows: NDArray[np.float64], names: Sequence[str], whole: Sequence[bool]) -> dict[str, NDArray[Any]]:
-    """Channels of rows (n, m), whose whole ones are int64."""
-    integers = rows.view(np.int64)
-    return {
-        name: (integers if is_whole else rows)[:, at]
-        for at, (name, is_whole) in enumerate(zip(names, whole, strict=True))
-    }
 
 
 def left_rows(folder: RunFolder, signals: Sequence[Signal], after_s: float) -> Iterator[dict[str, NDArray[Any]]]:

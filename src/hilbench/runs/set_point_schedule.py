@@ -87,19 +87,11 @@ def moves(config: ExperimentConfig) -> Iterator[Move]:
             ramp = step.ramp
             change = abs(ramp.to - state.values.get(ramp.path, 0.0))
             lasts_s = ramp.duration_s or change / (ramp.rate_per_s or 1.0)
-            move = _move(state, place, ramp.path, ramp.to, lasts_s)
-            yield move
-            state = move.after
-        elif step.set is not None or step.step is not None:
-            given = step.set or step.step
-            assert given is not None, "one of the two"
-            move = _move(state, place, given.path, given.to, 0.0)
-            yield move
-            state = move.after
+            found = [_move(state, place, ramp.path, ramp.to, lasts_s)]
+        elif given := step.set or step.step:
+            found = [_move(state, place, given.path, given.to, 0.0)]
         elif step.table is not None:
-            for move in _of_table(step.table, state, place):
-                yield move
-                state = move.after
+            found = list(_of_table(step.table, state, place))
         else:
             passes_s = 0.0
             if step.hold is not None:
@@ -108,9 +100,9 @@ def moves(config: ExperimentConfig) -> Iterator[Move]:
                 passes_s = given_s if given_s is not None else max(0.0, until_s - state.time_s)
             elif step.wait_until is not None:
                 passes_s = step.wait_until.timeout_s
-            after = replace(state, time_s=state.time_s + passes_s, place=place)
-            yield Move(state, after, passes_s)
-            state = after
+            found = [Move(state, replace(state, time_s=state.time_s + passes_s, place=place), passes_s)]
+        yield from found
+        state = found[-1].after
 
 
 def _move(state: State, place: Location, path: str, value: float, lasts_s: float) -> Move:
@@ -165,7 +157,7 @@ class LookAhead:
         later_s = now_s - self._starts_s[number]
         return planned.Plan(
             tuple(
-                planned.Move(move.path, move.start_s + later_s, move.end_s + later_s, move.to)
+                replace(move, start_s=move.start_s + later_s, end_s=move.end_s + later_s)
                 for step, move in self._moves
                 if number <= step < until
             )

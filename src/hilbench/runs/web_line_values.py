@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from hilbench.bench.tasks.emulated_web import emulated_web
 from hilbench.runs.config import ExperimentConfig
 from hilbench.topology.quantities import LINE_SPEED
-from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, is_modulus, moduli, tension_set_point
+from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, is_modulus, spans_of_moduli, tension_set_point
 
 
 def start_values(config: ExperimentConfig) -> dict[str, float]:
@@ -16,14 +16,9 @@ def start_values(config: ExperimentConfig) -> dict[str, float]:
         tension_set_point(config.shape.numbered(span)): control.set_point_N
         for span, control in config.set_point_controls.items()
     }
-    return {LINE_SPEED: 0.0, **set_points, **start_moduli_Pa(config)}
-
-
-def start_moduli_Pa(config: ExperimentConfig) -> dict[str, float]:
-    """E of the emulated web at the start, by path: of all spans (that of the first) and, of several, of each."""
     web = emulated_web(config.web_line, config.load)
-    of_each = {path: web.youngs_modulus_Pa(span) for span, path in enumerate(moduli(config.shape), 1)}
-    return {YOUNGS_MODULUS: web.youngs_modulus_Pa(1)} | of_each
+    moduli_Pa = {path: web.youngs_modulus_Pa(span) for path, span in spans_of_moduli(config.shape).items()}
+    return {LINE_SPEED: 0.0, **set_points, **moduli_Pa}
 
 
 def changed(values: Mapping[str, float], path: str) -> dict[str, float]:

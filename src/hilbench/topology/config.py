@@ -46,8 +46,8 @@ from hilbench.topology.web_line_config import (
     ReelControlConfig,
     TensionControlConfig,
     loops_of,
-    set_point_controls,
-    torqued_reels,
+    reel_axes,
+    span_beside_reel,
 )
 from hilbench.topology.web_line_quantities import TENSION_PROBE
 
@@ -318,13 +318,17 @@ class BenchConfig(Block):
     @property
     def reel_controls(self) -> dict[int, ReelControlConfig]:
         """The controllers of reels in torque mode by the axis of the reel."""
-        found = self.controllers.values()
-        return torqued_reels(self.web_line, found) if loops_of(ReelControlConfig, found) else {}
+        found = {control.reel: control for control in loops_of(ReelControlConfig, self.controllers.values())}
+        axes = sorted(reel_axes(self.web_line).items(), key=lambda entry: entry[1]) if found else ()
+        return {axis: found[reel] for reel, axis in axes if reel in found}
 
     @property
     def set_point_controls(self) -> dict[int, TensionControlConfig | ReelControlConfig]:
-        """The controllers with a set-point, by the number of what they keep, in the order of these."""
-        return set_point_controls(self.web_line, self.controllers.values())
+        """The controllers of tensions, by speeds or torques, by the span whose tension they keep, in the order of
+        these."""
+        reels = {span_beside_reel(self.web_line, axis): control for axis, control in self.reel_controls.items()}
+        kept: dict[int, TensionControlConfig | ReelControlConfig] = {**self.tension_controls, **reels}
+        return dict(sorted(kept.items()))
 
     @property
     def fast_path_places(self) -> tuple[str, ...]:

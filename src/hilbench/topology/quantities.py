@@ -100,9 +100,14 @@ _MOST_NEAR = 3
 _PART = re.compile(r"([a-z]+)([1-9]\d{0,3})")
 
 
+def _permitted_of_none(path: str) -> Permitted | None:
+    """Permitted values of a quantity that is none of an effect, on any machine; None: it is one, or unknown."""
+    return single_paths().get(numbered.without_number(path)) or _OF_POSITIONS.get(position_quantity(path))
+
+
 def is_simple_path(path: str) -> bool:
     """True if a quantity is none of an effect, on any machine."""
-    return path in single_paths() or numbered.is_numbered(path) or position_quantity(path) != ""
+    return _permitted_of_none(path) is not None
 
 
 @dataclass(frozen=True)
@@ -228,10 +233,9 @@ def rampable_path(text: str) -> str:
 @cache
 def permitted(path: str) -> Permitted:
     """Permitted values of a quantity. Raises ValueError for an unknown path."""
-    if is_simple_path(path):
-        if position := position_quantity(path):
-            return _OF_POSITIONS[position]
-        return single_paths().get(path) or single_paths()[numbered.without_number(path)]
+    simple = _permitted_of_none(path)
+    if simple is not None:
+        return simple
     of = parse_effect_path(path)
     parameter = find_effect(of.effect, of.kind).parameter(of.parameter)
     return Permitted(parameter.lower, parameter.upper, parameter.unit)

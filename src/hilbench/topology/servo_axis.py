@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from hilbench.topology.main_quantities.servo_axis import main_quantities as main_quantities
-from hilbench.topology.process_data.servo_axis import process_data as process_data
-from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SHAFT_VISCOUS_FRICTION, SPEED, Permitted
+from hilbench.topology import quantities
+from hilbench.topology.main_quantities.quantity import MainQuantity
+from hilbench.topology.process_data.table import INPUTS, QUALITY_EVERY, IoPdo, IoSignal, ProcessData, SimulatedTorque
+from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SHAFT_VISCOUS_FRICTION, Permitted
 from hilbench.topology.signal_kinds import (
     BUS_SIGNALS,
     TIME_SIGNALS,
@@ -44,13 +45,73 @@ SIGNALS: Final = (
 )
 SMALLEST: Final = Shape(1, ("load",))
 QUANTITIES: Final = {
-    SPEED: Permitted(-1e4, 1e4, "rad/s"),
+    quantities.SPEED: Permitted(-1e4, 1e4, "rad/s"),
     SHAFT_INERTIA: Permitted(1e-9, 1e6, "kg·m²"),
     SHAFT_COULOMB_FRICTION: Permitted(0.0, 1e5, "N·m"),
     SHAFT_VISCOUS_FRICTION: Permitted(0.0, 1e5, "N·m·s/rad"),
 }
+SPEED: Final = MainQuantity(quantities.SPEED, "speed of the shaft", "speed", "rad/s", "v1_cmd_rad_s", "v")
+INERTIA: Final = MainQuantity(
+    SHAFT_INERTIA,
+    "inertia of the emulated shaft",
+    "J",
+    "kg·m²",
+    "J_true_kg_m2",
+    "m",
+    "J_sim_kg_m2",
+    "J_sd_kg_m2",
+    shown_unit="kg·cm²",
+    si_per_shown=1e-4,
+    emulated=True,
+)
+FRICTION: Final = MainQuantity(
+    SHAFT_COULOMB_FRICTION,
+    "dry friction of the emulated shaft",
+    "friction",
+    "N·m",
+    "coulomb_true_Nm",
+    "f",
+    "coulomb_sim_Nm",
+    emulated=True,
+)
 METHODS: Final = ()
 TWIN_KEYS: Final = frozenset({"node", "synchronized_pct", "behind", "virtual_tpdo_every", "inertia"})
+
+
+def main_quantities(shape: Shape) -> tuple[MainQuantity, ...]:
+    """Quantities of any servo axis."""
+    return INERTIA, FRICTION, SPEED
+
+
+def process_data(shape: Shape) -> ProcessData:
+    """Process data of any servo axis."""
+    published = inertia, friction, deviation, torque, residual, friction_sd, viscous, viscous_sd = tuple(
+        IoSignal(name, INPUTS, sub, text)
+        for sub, (name, text) in enumerate(
+            (
+                ("J_sim_kg_m2", "Estimated inertia of the shaft [kg m2]"),
+                ("coulomb_sim_Nm", "Estimated dry friction of the shaft [N m]"),
+                ("J_sd_kg_m2", "Standard deviation of the estimated inertia [kg m2]"),
+                ("tau1_sim_Nm", "Simulated torque of axis 1 [N m]"),
+                ("tau1_residual_Nm", "Torque residual of axis 1 [N m]"),
+                ("coulomb_sd_Nm", "Standard deviation of the estimated dry friction [N m]"),
+                ("viscous_sim_Nm_s_per_rad", "Estimated viscous friction of the shaft [N m s/rad]"),
+                ("viscous_sd_Nm_s_per_rad", "Standard deviation of the estimated viscous friction [N m s/rad]"),
+            ),
+            1,
+        )
+    )
+    return ProcessData(
+        published=published,
+        boundary_inputs=(),
+        sent=(
+            IoPdo(1, (inertia, friction)),
+            IoPdo(2, (deviation, residual), QUALITY_EVERY),
+            IoPdo(4, (viscous, viscous_sd), QUALITY_EVERY),
+            IoPdo(5, (friction_sd,), QUALITY_EVERY),
+        ),
+        torques=(SimulatedTorque(1, torque.name, residual.name),),
+    )
 
 
 def boundary(machine: Any, shape: Shape) -> Mapping[str, float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from math import inf
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BeforeValidator, Discriminator, Field, FiniteFloat, PositiveFloat, Tag
@@ -11,11 +10,7 @@ from pydantic import BeforeValidator, Discriminator, Field, FiniteFloat, Positiv
 from hilbench.block import Block
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
-from hilbench.plant.web_line.sections import axes_before_spans
-from hilbench.plant.web_line.stations import ONLY_DRIVEN, Accumulator, Dancer, Idler, Reel, StationName, reel_name
-
-#: What is expected where an axis has two things to keep.
-ONE_CONTROLLER = "one controller between two driven rollers: one axis can keep one tension, or one position"
+from hilbench.plant.web_line.stations import Accumulator, Dancer, Idler, Reel, StationName, reel_name
 
 
 class LoadWebConfig(Block):
@@ -240,23 +235,6 @@ def span_beside_reel(machine: ModelParameters, axis: int) -> int:
     return 1 if axis == 1 else machine.span_count
 
 
-def torqued_reels(machine: ModelParameters, controllers: Iterable[ControllerConfig]) -> dict[int, ReelControlConfig]:
-    """The controllers of reels in torque mode by the axis of the reel."""
-    axes, found = reel_axes(machine), loops_of(ReelControlConfig, controllers)
-    return {axes[control.reel]: control for control in sorted(found, key=lambda each: axes[each.reel])}
-
-
-def set_point_controls(
-    machine: ModelParameters, controllers: Collection[ControllerConfig]
-) -> dict[int, TensionControlConfig | ReelControlConfig]:
-    """The controllers of tensions, by speeds or torques, by the span whose tension they keep, in the order of these."""
-    by_speeds = {control.span: control for control in loops_of(TensionControlConfig, controllers)}
-    reels = torqued_reels(machine, controllers) if loops_of(ReelControlConfig, controllers) else {}
-    by_torques = {span_beside_reel(machine, axis): control for axis, control in reels.items()}
-    kept: dict[int, TensionControlConfig | ReelControlConfig] = {**by_speeds, **by_torques}
-    return {span: kept[span] for span in sorted(kept)}
-
-
 def controller_misfits(controllers: Collection[ControllerConfig], count: int) -> Iterator[str]:
     """Why these can't be the controllers of a line of so many spans."""
     tensions = loops_of(TensionControlConfig, controllers)
@@ -324,109 +302,6 @@ def _unestimated_misfit(key: str, estimated: Collection[int], count: int) -> str
     return f"'twin: {{estimate: …}}' at every span with {key}, not without span {without[0]}"
 
 
-def line_misfits(
-    machine: ModelParameters,
-    controllers: Collection[ControllerConfig],
-    measured: Sequence[str],
-    ahead: str,
-    names: Collection[str],
-) -> Iterator[str]:
-    """Why a line can't be the machine of a bench with these controllers, and sensors of the stations `measured`.
-
-    `ahead`: key of the twin's that is given and needs driven rollers alone, "" for none; `names`: of other parts.
-    """
-    if machine.drives is None or machine.web is None:
-        yield "a machine with 'web:' and 'drives:'"
-    of_stations = None if machine.stations is None else _stations_misfit(machine, controllers, ahead, names)
-    yield from filter(None, [of_stations])
-    yield from filter(None, [_measured_misfit(measured, machine)])
-    yield from filter(None, [_loops_misfit(machine, controllers, measured)])
-
-
-def _loops_misfit(
-    machine: ModelParameters, controllers: Iterable[ControllerConfig], measured: Collection[str]
-) -> str | None:
-    """Why positions and tensions of a line can't be kept by these, in one line, or None; `measured`: what stations have
-    a sensor."""
-    given = list(controllers)
-    carriages = {carriage.station.name: carriage for carriage in machine.carriages}
-    before, tensions = axes_before_spans(machine), loops_of(TensionControlConfig, given)
-    sections = [before[control.span - 1] for control in tensions]
-    for control in loops_of(PositionControlConfig, given):
-        carriage = carriages.get(control.station)
-        if carriage is None:
-            known = ", ".join(carriages) or "none here"
-            return f"the position of a dancer or accumulator ({known}), '{control.station}' is none"
-        if control.station not in measured:
-            return f"'load: {{measured: [{control.station}]}}' for the loop of its position"
-        station = carriage.station
-        lowest_m = -inf if station.lower_stop_m is None else station.lower_stop_m
-        highest_m = inf if station.upper_stop_m is None else station.upper_stop_m
-        if control.set_point_m is not None and not lowest_m < control.set_point_m < highest_m:
-            ends = f"{lowest_m:g} to {highest_m:g} m"
-            return f"a set-point between the stops of '{control.station}', {ends}, not {control.set_point_m:g} m"
-        if (misfit := _force_misfit(station, control.force)) is not None:
-            return misfit
-        sections.append(before[carriage.first_span - 1])
-    axes = reel_axes(machine)
-    for torqued in loops_of(ReelControlConfig, given):
-        if torqued.reel not in axes:
-            return f"a reel in torque mode ({', '.join(axes) or 'none here'}), '{torqued.reel}' is none"
-        cells = [cell for cell in load_cells(machine) if cell in measured]
-        if torqued.load_cell not in cells:
-            return (
-                f"an idler with 'load: {{measured: [{torqued.load_cell}]}}' as the load cell of '{torqued.reel}' "
-                f"({', '.join(cells) or 'none here'}), '{torqued.load_cell}' is none"
-            )
-        sections.append(before[span_beside_reel(machine, axes[torqued.reel]) - 1])
-    if len(set(sections)) < len(sections):
-        return ONE_CONTROLLER
-    kept = {before[control.span - 1] for control in tensions}
-    for roller in machine.line_rollers:
-        if isinstance(roller.station, Reel) and kept & {roller.axis, (roller.axis or 0) - 1}:
-            name = reel_name(roller.station)
-            if name not in measured:
-                return f"'load: {{measured: [{name}]}}' for the loop of the tension beside it: its radius changes"
-    return None
-
-
-def _force_misfit(station: Dancer | Accumulator, force: CarriageForceConfig | None) -> str | None:
-    """Reason why a force can't be sent ahead to a carriage, in one line, or None."""
-    if force is None:
-        return None
-    tension_N = force.tension_N(station)
-    if not tension_N > 0.0:
-        return (
-            f"'set_point_N' in the 'force' of '{station.name}', or a 'force_N' of the machine that keeps a tension, "
-            f"not {station.force_N:g} N"
-        )
-    held_N = station.held_by_N(tension_N, station.position_m)
-    if held_N < 0.0 or (force.limit_N is not None and held_N > force.limit_N):
-        most = "" if force.limit_N is None else f" to {force.limit_N:g}"
-        return (
-            f"a 'force' of '{station.name}' from 0{most} N for a tension of {tension_N:g} N, which takes {held_N:g} N"
-        )
-    return None
-
-
-def _stations_misfit(
-    machine: ModelParameters, controllers: Collection[ControllerConfig], ahead: str, names: Collection[str]
-) -> str | None:
-    """Why a bench can't have the stations of its machine, in one line, or None; see `line_misfits`."""
-    rollers = machine.line_rollers
-    if rollers[0].axis is None or rollers[-1].axis is None:
-        return "'stations' that begin and end with a driven roller or reel"
-    if ahead:
-        return f"no '{ahead}' on a line with 'stations:', or {ONLY_DRIVEN}"
-    probes = [control.probes for control in loops_of(TensionControlConfig, controllers)]
-    if any(probing.mode != "off" or probing.at_rest_mm for probing in probes):
-        return f"no 'probing' on a line with 'stations:', or {ONLY_DRIVEN}"
-    if loops_of(CompensationConfig, controllers):
-        return f"no 'compensate' on a line with 'stations:', or {ONLY_DRIVEN}"
-    twice = [name for name in station_names(machine) if name in names]
-    return f"names that differ: a station and another part are both named {twice[0]}" if twice else None
-
-
 def station_names(machine: ModelParameters) -> tuple[str, ...]:
     """Names of dancers and accumulators, which have a position, then of reels, which have a radius."""
     reels = (roller.station for roller in machine.line_rollers)
@@ -439,13 +314,3 @@ def station_names(machine: ModelParameters) -> tuple[str, ...]:
 def load_cells(machine: ModelParameters) -> tuple[str, ...]:
     """Idlers, by name, any of which may be the roller of a load cell."""
     return tuple(roller.station.name for roller in machine.line_rollers if isinstance(roller.station, Idler))
-
-
-def _measured_misfit(measured: Sequence[str], machine: ModelParameters) -> str | None:
-    """Why a line can't have sensors of these stations, or None."""
-    known = (*station_names(machine), *load_cells(machine))
-    unknown = [name for name in measured if name not in known]
-    if not unknown:
-        return None
-    expected = f"'load.measured' of dancers, accumulators, reels and idlers ({', '.join(known) or 'none here'})"
-    return f"{expected}, not {unknown[0]}"

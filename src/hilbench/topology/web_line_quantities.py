@@ -27,21 +27,18 @@ def span_of_set_point(path: str) -> str | None:
     return found[1] if found else "" if path == TENSION_SET_POINT else None
 
 
-def is_numbered(path: str) -> bool:
-    """True if a path has the number of a span."""
-    return _NUMBERED_SET_POINT.fullmatch(path) is not None or is_modulus(path)
-
-
 def without_number(path: str) -> str:
-    """Path of the quantity of which a span has its own."""
-    return YOUNGS_MODULUS if is_modulus(path) else TENSION_SET_POINT
+    """Path of the quantity of which a span has its own; another path as it is."""
+    if span_of_set_point(path):
+        return TENSION_SET_POINT
+    return YOUNGS_MODULUS if is_modulus(path) else path
 
 
 def several(shape: Shape) -> dict[str, list[str]]:
     """Paths of the parts of a line that have a quantity, by its path without a number."""
     return {
         TENSION_SET_POINT: [tension_set_point(shape.numbered(span)) for span in shape.controlled],
-        YOUNGS_MODULUS: [YOUNGS_MODULUS, *moduli(shape)],
+        YOUNGS_MODULUS: list(spans_of_moduli(shape)),
     }
 
 
@@ -61,9 +58,10 @@ def is_modulus(path: str) -> bool:
     return span_of_modulus(path) != ""
 
 
-def moduli(shape: Shape) -> list[str]:
-    """The paths of E of each span of a line; none where there is one span."""
-    return [modulus_of_span(span) for span in range(1, shape.spans + 1)] if shape.spans > 1 else []
+def spans_of_moduli(shape: Shape) -> dict[str, int]:
+    """The span of each path of E on a line: of that of all spans the first; of several also the path of each."""
+    spans = range(1, shape.spans + 1) if shape.spans > 1 else ()
+    return {YOUNGS_MODULUS: 1, **{modulus_of_span(span): span for span in spans}}
 
 
 def alike(path: str) -> tuple[str, ...]:

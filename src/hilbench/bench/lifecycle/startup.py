@@ -33,8 +33,7 @@ from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.node_data import FILE, ask_all, stand_data
-from hilbench.exchange.nodes import Nodes
-from hilbench.exchange.parallel import ForEachNode
+from hilbench.exchange.nodes import ForEachNode, Nodes
 from hilbench.exchange.sync_producer import SyncProducer
 from hilbench.forked_workers import ForkedWorker, Preparation, forked_workers
 from hilbench.processes import ChildProcess

@@ -4,9 +4,8 @@ tension controller where the span between has one; load motors emulate the web."
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from math import inf
 from operator import attrgetter
 from typing import Any
 
@@ -20,13 +19,11 @@ from hilbench.bench.tasks.emulated_web import emulated_web, web_load_model
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
-from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs, StagedTask
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
 from hilbench.bench.tasks.tension_compensation import CompensationTask
-from hilbench.bench.tasks.tension_cycle import SPEEDS
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_probing import Probing
-from hilbench.bench.tasks.tension_task import FeedForward, Leader, LoopNames, TensionTask
-from hilbench.bench.tasks.tension_trust import VirtualSensorSupervision
+from hilbench.bench.tasks.tension_task import AxisTask, LoopNames, TensionTask
 from hilbench.bench.tasks.tension_watch import TensionWatch, watched_loops
 from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
@@ -38,8 +35,6 @@ from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelTravel
 from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation, excitation_amplitudes_m
 from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.compiled import Vector, load
-from hilbench.control.web_line.swing_damping import SwingDamping, SwingPlant
-from hilbench.control.web_line.tension import tension_controller
 from hilbench.cycle_program import CompiledStage, Function, never, python_stage
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.problems import Problem
@@ -87,7 +82,6 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         for axis, control in torqued.items()
     ]
     axes: list[LeadingAxis | FollowingAxis | TensionTask | PositionTask] = [leading]
-    trusts: list[VirtualSensorSupervision] = []
     forces: list[CarriageForceTask] = []
     compensating: list[CompensationTask] = []
     for axis in range(leads - 1, 0, -1):
@@ -104,20 +98,17 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         if control is None:
             axes.append(FollowingAxis(drives[axis - 1], axis, axes[-1], plan))
             continue
-        names = LoopNames.of(drives[axis - 1], control.span, config.shape)
-        trusts.append(VirtualSensorSupervision(control, limits.tension_N.trip or inf, cycle_s, names.twin))
-        ahead = None
-        if plan is not None and axis in rises_s:
-            ahead = FeedForward(*neighbour_strains(config, axis), plan)
-        loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
+        own_plan, entering = (plan, neighbour_strains(config, axis)) if axis in rises_s else (None, ())
+        travels = _trajectories(config, axis)
+        loops[axis] = TensionTask(config, state, control, drives[axis - 1], axes[-1], travels, own_plan, entering)
         axes.append(loops[axis])
         for each in loops_of(CompensationConfig, config.controllers.values()):
             if each.effects:
                 compensating.append(CompensationTask(config, each, reports, loops[axis]))
-    of_spans = {loop.span: loop for loop in loops.values()}
-    watched = watched_loops(model, list(loops.values()), trusts, config.twin)
+    of_spans = {loop.names.span: loop for loop in loops.values()}
+    watched = watched_loops(model, loops.values(), config.twin)
     watch = [TensionWatch(watched, model, config.twin, state.twin, cycle_s)] if watched else []
-    moved = _rest_movement(config, leading, [each for each in reversed(axes) if not isinstance(each, PositionTask)])
+    moved = _rest_movement(config, [each.moved for each in reversed(axes) if not isinstance(each, PositionTask)])
     probing = [_probing(config, state, of_spans, line_speed, moved)] if of_spans else []
     sensors = sensors_at_start(emulated_web(model, config.load), config.shape)
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N, sensors)
@@ -140,7 +131,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
             *(load, *([LoadCells(model, config.shape)] if config.shape.cells else []), *watch),
         ),
         watches=(
-            WebAlarms(trusts, state.twin, stop_on_break=config.safety.on_web_break == "stop"),
+            WebAlarms(loops.values(), state.twin, stop_on_break=config.safety.on_web_break == "stop"),
             *(CarriageStops(each) for each in model.carriages if each.station.name in config.load.measured),
             OpenLoops(list(loops.values()), line_speed, config.safety.loop_open_s, state),
             QuietWatch("limits", limit_watch, reports),
@@ -178,10 +169,9 @@ def _probing(
     return Probing(found, loop, loop.names.twin, line_speed, state, at_rest, of_all)
 
 
-def _rest_movement(
-    config: BenchConfig, leading: LeadingAxis, axes: Sequence[LeadingAxis | FollowingAxis | TensionTask]
-) -> StandstillExcitation | None:
-    """Standstill excitation of a line of driven rollers, in the direction of its `axes`; None if not permitted."""
+def _rest_movement(config: BenchConfig, axes: Sequence[Any]) -> StandstillExcitation | None:
+    """Standstill excitation of a line of driven rollers, by its records of the `axes` in their direction; None if not
+    permitted."""
     controls, model = config.tension_controls, config.web_line
     travel_mm = max((control.probes.at_rest_mm for control in controls.values()), default=0.0)
     if travel_mm == 0.0:
@@ -193,35 +183,7 @@ def _rest_movement(
     positions_m = attrgetter(*(f"x{axis}_m" for axis in range(1, model.axis_count + 1)))
     travel_m = 1e-3 * travel_mm
     pulled_m = excitation_amplitudes_m(model, set_points_N, travel_m)
-    return StandstillExcitation(leading, axes, positions_m, travel_m, pulled_m, config.cycle_time_s)
-
-
-def _tension_task(
-    config: BenchConfig,
-    state: BenchState,
-    control: TensionControlConfig,
-    names: LoopNames,
-    leader: Leader,
-    trust: VirtualSensorSupervision,
-    ahead: FeedForward | None,
-) -> TensionTask:
-    model, cycle_s, section = section_model(config.web_line), config.cycle_time_s, names.axis
-    strains = strains_around(config, control.span)
-    swing = SwingPlant.of_model(model, cycle_s, section, strains)
-    return TensionTask(
-        names,
-        leader,
-        control.set_point_N,
-        tension_controller(control.bandwidth_rad_per_s, control.correction_limit_m_s, model, section, strains),
-        SwingDamping(swing, control.swing_damping_ratio, model.youngs_modulus_Pa(section)),
-        trust,
-        state.twin,
-        state.reports,
-        cycle_s,
-        model.youngs_modulus_Pa(section),
-        ahead,
-        _trajectories(config, section),
-    )
+    return StandstillExcitation(axes[-1], axes, positions_m, travel_m, pulled_m, config.cycle_time_s)
 
 
 def _trajectories(config: BenchConfig, section: int) -> Callable[[CycleSample], tuple[float, float]] | None:
@@ -235,7 +197,7 @@ def _trajectories(config: BenchConfig, section: int) -> Callable[[CycleSample], 
     return lambda sample: (before(sample), behind(sample))
 
 
-def _position_task(config: BenchConfig, axis: int, carriage: LineCarriage, leader: Leader) -> PositionTask:
+def _position_task(config: BenchConfig, axis: int, carriage: LineCarriage, leader: AxisTask) -> PositionTask:
     """The axis before a carriage that has a loop of its position."""
     station, drive = carriage.station, list(config.drives)[axis - 1]
     control = config.position_controls[station.name]
@@ -254,7 +216,7 @@ def _measured_reels(config: BenchConfig) -> list[MeasuredReel]:
     return found
 
 
-def _reel_speeds(config: BenchConfig, leader: Leader) -> list[ReelSpeeds]:
+def _reel_speeds(config: BenchConfig, leader: AxisTask) -> list[ReelSpeeds]:
     """Task that sets the reels' speeds by their radius; none for a line without reels."""
     reels = [reel for reel in _measured_reels(config) if reel.axis not in config.shape.torqued]
     line_speed = LINE_SPEED_SIGNAL if config.shape.winds else ""
@@ -316,30 +278,21 @@ class BoundaryTask(CyclicTask):
         self.before(sample, outputs)
 
 
-class _AxisWithoutLoop(StagedTask):
+class _AxisWithoutLoop(AxisTask):
     """Axis whose velocity one compiled stage makes, from other axes and the standstill excitation."""
 
     def __init__(self, drive: str, axis: int, function: Function) -> None:
+        super().__init__()
         self._drive = drive
         self._command = f"v{axis}_cmd_m_s"
         self._function = function
-        self.speeds = np.zeros(1, SPEEDS)
         self._excitations = np.array([(0.0, np.nan)], web_axis_cycle.EXCITATION)
-        self._excitation = self._excitations[0]
+        self.moved = self._excitations.view(np.recarray)[0]  #: its standstill excitation
         load(function)
 
     @abstractmethod
     def _arrays(self, values: Vector) -> tuple[Any, ...]:
         """What `function` works on with the `reals` of a sample."""
-
-    @property
-    def pull_m_s(self) -> float:
-        """Standstill excitation of this axis alone, see `StandstillExcitation`; nan: there is none."""
-        return float(self._excitation["pull_m_s"])
-
-    @pull_m_s.setter
-    def pull_m_s(self, value: float) -> None:
-        self._excitation["pull_m_s"] = value
 
     def stages(self, sample: CycleSample) -> CompiledStages:
         """Compiled stage that makes the velocity command, m/s at the web."""
@@ -358,47 +311,18 @@ class LeadingAxis(_AxisWithoutLoop):
     def _arrays(self, values: Vector) -> web_axis_cycle.LeadingArrays:
         return web_axis_cycle.LeadingArrays(self._line_speed.vector, self._excitations, self.speeds, values)
 
-    @property
-    def creep_m_s(self) -> float:
-        """Standstill excitation common to all axes, see `StandstillExcitation`."""
-        return float(self._excitation["creep_m_s"])
-
-    @creep_m_s.setter
-    def creep_m_s(self, value: float) -> None:
-        self._excitation["creep_m_s"] = value
-
-    @property
-    def speed_m_s(self) -> float:
-        """Commanded web speed of this axis, for the axes that follow it."""
-        return self._line_speed.present + self.creep_m_s
-
-    @property
-    def damped_m_s(self) -> float:
-        """Commanded web speed with damping: nothing is damped by this axis."""
-        return self.speed_m_s
-
 
 class FollowingAxis(_AxisWithoutLoop):
     """Axis before a span without a controller: it turns as fast as the one after it, so that the strain in the span is
     the one that enters it. With the damping of that axis, or the span would be stretched by it."""
 
-    def __init__(self, drive: str, axis: int, leader: Leader, ahead: FeedForwardTask | None) -> None:
+    def __init__(self, drive: str, axis: int, leader: AxisTask, ahead: FeedForwardTask | None) -> None:
         super().__init__(drive, axis, web_axis_cycle.follow)
         self._leader = leader
         self._lead = ahead.lead(axis) if ahead else np.zeros(1)
 
     def _arrays(self, values: Vector) -> web_axis_cycle.FollowingArrays:
         return web_axis_cycle.FollowingArrays(self._leader.speeds, self._lead, self._excitations, self.speeds, values)
-
-    @property
-    def speed_m_s(self) -> float:
-        """Commanded web speed of the leader, without the damping of axes further downstream."""
-        return self._leader.speed_m_s
-
-    @property
-    def damped_m_s(self) -> float:
-        """Commanded web speed of the leader, with that damping."""
-        return self._leader.damped_m_s
 
 
 class WebLoadTask(LoadTask):
@@ -517,7 +441,7 @@ class OpenLoops(CyclicTask):
         self._state.reports.note(
             "tension",
             f"{name} open for {sample.t_s - since_s:.1f} s while tension is asked for, axis {axis} follows the ratio "
-            f"of speeds: {loop.doubt}; criteria on this tension are not judged",
+            f"of speeds: {loop.trust.doubt}; criteria on this tension are not judged",
             kind=name,
         )
 
@@ -540,8 +464,8 @@ class OpenLoops(CyclicTask):
 class WebAlarms(CyclicTask):
     """The twin's alarms of the web: slip and a break open the tension loops, a break is a fault where wanted."""
 
-    def __init__(self, trusts: Sequence[VirtualSensorSupervision], twin: TwinState, *, stop_on_break: bool) -> None:
-        self._trusts = tuple(trusts)
+    def __init__(self, loops: Iterable[TensionTask], twin: TwinState, *, stop_on_break: bool) -> None:
+        self._loops = tuple(loops)
         self._twin = twin
         self._stop_on_break = stop_on_break
 
@@ -551,8 +475,8 @@ class WebAlarms(CyclicTask):
             return
         for emergency in inputs.emergencies:
             if emergency.code in (Problem.WEB_BREAK, Problem.SLIP):
-                for trust in self._trusts:
-                    trust.forget(str(emergency))
+                for loop in self._loops:
+                    loop.trust.forget(str(emergency))
             if emergency.code == Problem.WEB_BREAK and self._stop_on_break:
                 raise BenchFaultError(f"t = {sample.t_s:.3f} s: {emergency.node} reports a web break{emergency.where}")
 

@@ -12,6 +12,7 @@ from hilbench.topology.web_line_quantities import (
     TENSION_SET_POINT,
     YOUNGS_MODULUS,
     modulus_of_span,
+    spans_of_moduli,
     tension_set_point,
 )
 
@@ -35,22 +36,16 @@ OBJECTS: Final = {
 }
 
 
-def moduli_Pa(config: BenchConfig) -> dict[str, float]:
-    """E of the model by the paths of the emulated one: of all spans (that of the first) and, of several, of each."""
-    model, spans = config.web_line, config.shape.spans
-    of_each = {modulus_of_span(span): model.youngs_modulus_Pa(span) for span in range(1, spans + 1)}
-    return {YOUNGS_MODULUS: model.youngs_modulus_Pa(1)} | (of_each if spans > 1 else {})
-
-
 def ranges(config: BenchConfig) -> dict[str, tuple[float, float]]:
     """Line speed (m/s), tension set-point (N), Young's modulus of the emulated web (Pa)."""
-    limits, moduli = config.safety.limits, moduli_Pa(config)
+    limits, model = config.safety.limits, config.web_line
+    moduli_Pa = {path: model.youngs_modulus_Pa(span) for path, span in spans_of_moduli(config.shape).items()}
     speed_m_s, ratio = limits.speed_m_s.highest, min(limits.estimate_ratio.highest, LARGEST_RATIO)
     set_points = [tension_set_point(config.shape.numbered(span)) for span in config.set_point_controls]
     return {
         **({} if config.twin.live_diagnosis is None else {MODEL_CHANGE: (0.0, 1.0)}),
         LINE_SPEED: (-speed_m_s, speed_m_s),
         **dict.fromkeys(set_points, (0.0, limits.tension_N.highest)),
-        **{path: (E / ratio, E * ratio) for path, E in moduli.items()},
+        **{path: (E / ratio, E * ratio) for path, E in moduli_Pa.items()},
         **({TENSION_PROBE: (0.0, 1.0)} if config.tension_controls else {}),
     }

@@ -27,7 +27,7 @@ from hilbench.prediction.web_line.futures import LineControl, LineCourses, LineF
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample
-from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span, tension_set_point
+from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span, spans_of_moduli, tension_set_point
 
 
 def foreseen(config: BenchConfig) -> dict[str, str]:
@@ -36,17 +36,8 @@ def foreseen(config: BenchConfig) -> dict[str, str]:
     set_points = {
         tension_set_point(shape.numbered(span)): f"F{shape.numbered(span)}_ref_N" for span in config.tension_controls
     }
-    spans = range(1, shape.spans + 1) if shape.spans > 1 else ()
-    moduli = {modulus_of_span(span): f"E{span}_true_Pa" for span in spans}
-    first = f"E{shape.numbered(1)}_true_Pa"
-    return {LINE_SPEED: f"v{shape.axes}_cmd_m_s", **set_points, YOUNGS_MODULUS: first, **moduli}
-
-
-def moves_of(config: BenchConfig, move: Move) -> tuple[Move, ...]:
-    """Moves of single quantities that a move consists of: E of all spans is E of each."""
-    if move.path != YOUNGS_MODULUS or config.shape.spans == 1:
-        return (move,)
-    return tuple(replace(move, path=modulus_of_span(span)) for span in range(1, config.shape.spans + 1))
+    moduli = {path: f"E{shape.numbered(span)}_true_Pa" for path, span in spans_of_moduli(shape).items()}
+    return {LINE_SPEED: f"v{shape.axes}_cmd_m_s", **set_points, **moduli}
 
 
 class LineLook(Look):
@@ -94,7 +85,9 @@ class LineLook(Look):
         return is_synchronized(sample) and bool(np.all(closed)) and getattr(sample, self._modulus) > 0.0
 
     def moves_of(self, move: Move) -> tuple[Move, ...]:
-        return moves_of(self._config, move)
+        """E of all spans is E of each."""
+        paths = self._moduli if move.path == YOUNGS_MODULUS else [move.path]
+        return tuple(replace(move, path=path) for path in paths)
 
     def prepare(
         self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int

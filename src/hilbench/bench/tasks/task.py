@@ -125,3 +125,27 @@ class SettableQuantity(Protocol):
 
     def set(self, path: str, value: float) -> None:
         """Another value from the next cycle on."""
+
+
+class SetPoints:
+    """Settable quantities of a task, see `SettableQuantity`: values by path, the set-point first."""
+
+    def __init__(self, values: dict[str, float]) -> None:
+        super().__init__()
+        self._values = values
+
+    @property
+    def _set_point(self) -> float:
+        return next(iter(self._values.values()))
+
+    def owns(self, path: str) -> bool:
+        """True if the task has this quantity."""
+        return path in self._values
+
+    def value(self, path: str) -> float:
+        """Present value."""
+        return self._values[path]
+
+    def set(self, path: str, value: float) -> None:
+        """Another one."""
+        self._values[path] = value

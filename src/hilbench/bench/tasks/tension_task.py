@@ -3,54 +3,52 @@ the ratio of speeds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import inf
-from typing import Protocol
 
 import numpy as np
 
-from hilbench.bench.state import Reports, TwinState
+from hilbench.bench.state import BenchState
 from hilbench.bench.tasks import tension_cycle as cycle
 from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, StagedTask
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask
 from hilbench.bench.tasks.tension_trust import TwinSignals, VirtualSensorSupervision
-from hilbench.bench.tasks.web_entering_strain import EnteringStrain, entering_records
-from hilbench.compiled import Records, Vector, load, of_record, record_at
+from hilbench.bench.tasks.web_entering_strain import EnteringStrain, entering_records, strains_around
+from hilbench.compiled import load, of_record, record_at
 from hilbench.control.web_line.strain_trajectory import TRAJECTORY
-from hilbench.control.web_line.swing_damping import SwingDamping
-from hilbench.control.web_line.tension import CONTROLLER
+from hilbench.control.web_line.swing_damping import SwingDamping, SwingPlant
+from hilbench.control.web_line.tension import CONTROLLER, tension_controller
 from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.exchange.exchange import Inputs
+from hilbench.plant.web_line.sections import section_model
+from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
+from hilbench.topology.web_line_config import TensionControlConfig
 from hilbench.topology.web_line_quantities import tension_set_point
 from hilbench.topology.web_line_signals import tension_loop_words
 
 
-class Leader(Protocol):
-    """An axis whose speed the axis before it follows. `speeds`: those speeds for compiled callers, `SPEEDS` of
-    `tension_cycle`."""
+class AxisTask(StagedTask):
+    """Commands the speed of an axis, which the axis before it follows; its stages run after those of the axis behind.
 
-    speeds: Records
+    `speeds`: commanded web speeds for compiled callers, `SPEEDS` of `tension_cycle`.
+    """
+
+    def __init__(self) -> None:
+        self.speeds = np.zeros(1, cycle.SPEEDS)
 
     @property
     def speed_m_s(self) -> float:
         """Commanded web speed, without the damping of the span after it."""
+        return float(self.speeds["undamped"][0])
 
     @property
     def damped_m_s(self) -> float:
         """Commanded web speed, with that damping."""
-
-
-@dataclass(frozen=True)
-class FeedForward:
-    """Feed-forward of a loop; strains: of the web around the span; `plan`: of the cycle."""
-
-    strain_before: EnteringStrain
-    strain_behind: EnteringStrain
-    plan: FeedForwardTask
+        return float(self.speeds["damped"][0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,40 +86,47 @@ class LoopNames:
         )
 
 
-class TensionTask(StagedTask):
+class TensionTask(AxisTask):
     """Velocity of the axis before a span from the simulated tension, with the damping of the swing added.
 
-    `set_point_N` can be set during the run; `leader`: the axis after the span; `modulus_Pa`: E until the loop was
-    closed (for `feed_forward`); `trajectories`: web travel at the axes before and after the span, m, where that differs
-    from the encoders'.
+    `set_point_N` can be set during the run; `leader`: the axis after the span; `trajectories`: web travel at the axes
+    before and after the span, m, where that differs from the encoders'; feed-forward: its plan, and the strains of the
+    web before and after the span.
     """
 
     def __init__(
         self,
-        names: LoopNames,
-        leader: Leader,
-        set_point_N: float,
-        controller: Vector,
-        damping: SwingDamping,
-        trust: VirtualSensorSupervision,
-        twin: TwinState,
-        reports: Reports,
-        cycle_s: float,
-        modulus_Pa: float = 0.0,
-        feed_forward: FeedForward | None = None,
-        trajectories: Callable[[CycleSample], tuple[float, float]] | None = None,
+        config: BenchConfig,
+        state: BenchState,
+        control: TensionControlConfig,
+        drive: str,
+        leader: AxisTask,
+        trajectories: Callable[[CycleSample], tuple[float, float]] | None,
+        plan: FeedForwardTask | None,
+        entering: Sequence[EnteringStrain],
     ) -> None:
-        self._trajectories = trajectories
-        self.names = names  #: names of drive, path and signals
-        self.leader = leader
-        self._controller, self._damping, self._trust, self._twin = controller, damping, trust, twin
-        self._reports = reports
-        self._ahead = feed_forward
+        super().__init__()
+        self._trajectories, self.leader, self._plan, self._entering = trajectories, leader, plan, entering
+        self._twin, self._reports = state.twin, state.reports
+        self.names = LoopNames.of(drive, control.span, config.shape)  #: names of drive, path and signals
+        model, cycle_s, section = section_model(config.web_line), config.cycle_time_s, self.names.axis
+        strains, modulus_Pa = strains_around(config, control.span), model.youngs_modulus_Pa(section)
+        of_loop = control.bandwidth_rad_per_s, control.correction_limit_m_s
+        self._controller = tension_controller(*of_loop, model, section, strains)
+        swing = SwingPlant.of_model(model, cycle_s, section, strains)
+        self._damping = SwingDamping(swing, control.swing_damping_ratio, modulus_Pa)
+        highest_N = config.safety.limits.tension_N.trip or inf
+        self.trust = VirtualSensorSupervision(control, highest_N, cycle_s, self.names.twin)
         self.opened_s = -inf  #: when it was closed last, in experiment time
-        figures = {"set_point_N": set_point_N, "modulus_Pa": modulus_Pa, "cycle_s": cycle_s, "pull_m_s": np.nan}
+        figures = {
+            "set_point_N": control.set_point_N,
+            "modulus_Pa": modulus_Pa,  # E until the loop is closed
+            "cycle_s": cycle_s,
+            "pull_m_s": np.nan,
+        }
         loop = of_record(cycle.LOOP, controlled_cycle=cycle.NEVER, closed=cycle.NEVER, **figures)
-        self.loop, self.speeds = np.array([loop], cycle.LOOP), np.zeros(1, cycle.SPEEDS)
-        self._at, self._speeds = self.loop[0], self.speeds[0]
+        self.loop = np.array([loop], cycle.LOOP)
+        self._at, self.moved = self.loop[0], self.loop.view(np.recarray)[0]  #: moved: its standstill excitation
         load(cycle.run)
 
     def _on(self, sample: CycleSample) -> CompiledStage:
@@ -152,48 +157,23 @@ class TensionTask(StagedTask):
             values=sample.reals,
             words=sample.wholes,
             at=np.array([of_record(cycle.AT, **places)], cycle.AT),
-            trust=self._trust.arrays(kind),
+            trust=self.trust.arrays(kind),
         )
-        if self._ahead is not None:
-            plan = self._ahead.plan
-            entering, at = entering_records(kind, (self._ahead.strain_before, self._ahead.strain_behind))
+        if self._plan is not None:
+            entering, at = entering_records(kind, self._entering)
             arrays = arrays._replace(
-                trajectory=plan.trajectory(names.axis).view(TRAJECTORY),
+                trajectory=self._plan.trajectory(names.axis).view(TRAJECTORY),
                 entering=entering,
                 entering_at=at,
-                leads_m_s=plan.lead(names.axis),
+                leads_m_s=self._plan.lead(names.axis),
             )
         self._stage = CompiledStage(cycle.run, cycle.JUDGE, arrays, fallback=self._decide)
         return self._stage
 
     @property
-    def speed_m_s(self) -> float:
-        """Commanded web speed of the axis, without the damping."""
-        return float(self._speeds["undamped"])
-
-    @property
-    def damped_m_s(self) -> float:
-        """Commanded web speed of the axis, with the damping."""
-        return float(self._speeds["damped"])
-
-    @property
-    def span(self) -> int:
-        """Number of the span whose tension is kept."""
-        return self.names.span
-
-    @property
     def set_point_N(self) -> float:
         """The set-point without a probe's shift."""
         return float(self._at["set_point_N"])
-
-    @property
-    def pull_m_s(self) -> float:
-        """Standstill excitation of this axis, see `StandstillExcitation`."""
-        return float(self._at["pull_m_s"])
-
-    @pull_m_s.setter
-    def pull_m_s(self, value: float) -> None:
-        self._at["pull_m_s"] = value
 
     @property
     def set_point_shift_N(self) -> float:
@@ -218,11 +198,6 @@ class TensionTask(StagedTask):
         """Set E for the ratio of speeds of an open loop, in place of the twin's."""
         self._at["modulus_Pa"] = modulus_Pa
         record_at(self._controller, CONTROLLER).modulus_Pa = modulus_Pa
-
-    @property
-    def doubt(self) -> str:
-        """Reason of an open loop, "" while it may be closed."""
-        return self._trust.doubt
 
     @property
     def closed(self) -> bool:
@@ -276,20 +251,20 @@ class TensionTask(StagedTask):
         """Handle an event of the compiled cycle, then run its next stage."""
         sample = self._sample
         if code == cycle.STALE:
-            self._trust.forget(self._twin.why)
+            self.trust.forget(self._twin.why)
         elif code < cycle.STALE:
-            self._trust.doubts(code, sample)
+            self.trust.doubts(code, sample)
         self._look_whether_closed()
         self._stage.function(cycle.CONTROL, self._stage.table)
         return True
 
     def _look_whether_closed(self) -> None:
         """Open or close the loop by the trust in the twin, and report it."""
-        closed, was_closed = self._trust.trusted, self._at["closed"]
+        closed, was_closed = self.trust.trusted, self._at["closed"]
         loop, axis = self.names.of_loop, self.names.axis
         if was_closed == 1.0 and not closed:
             self.opened_s = self._sample.t_s
-            self._reports.note("twin", f"{loop} open, axis {axis} follows the ratio of speeds: {self._trust.doubt}")
+            self._reports.note("twin", f"{loop} open, axis {axis} follows the ratio of speeds: {self.trust.doubt}")
         elif closed and was_closed == 0.0:
             self._reports.note("twin", f"{loop} closed again: the twin is synchronized")
         if closed or was_closed != cycle.NEVER:

@@ -7,8 +7,7 @@ they are judged, in the same compiled stage.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from math import sqrt
 from typing import Annotated, Any, NamedTuple
 
@@ -18,7 +17,6 @@ from hilbench.bench.state import TwinState
 from hilbench.bench.tasks import tension_bounds as bounds
 from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, StagedTask
 from hilbench.bench.tasks.tension_task import TensionTask
-from hilbench.bench.tasks.tension_trust import VirtualSensorSupervision
 from hilbench.compiled import (
     COUNT,
     TABLE,
@@ -227,22 +225,15 @@ def _run(_: int, table: Wholes2) -> int:
     return code
 
 
-@dataclass(frozen=True)
-class WatchedLoop:
-    """A tension loop that is watched: what opens it, and whether its twin's E follows a step within
-    `tension_bounds.PERSISTS_S`."""
-
-    task: TensionTask
-    trust: VirtualSensorSupervision
-    follows_at_once: bool
-
-
 class TensionWatch(StagedTask):
-    """Opens tension loops whose twin is physically implausible, until it is plausible again."""
+    """Opens tension loops whose twin is physically implausible, until it is plausible again.
+
+    `loops`: each with whether its twin's E follows a step within `tension_bounds.PERSISTS_S`.
+    """
 
     def __init__(
         self,
-        loops: Sequence[WatchedLoop],
+        loops: Mapping[TensionTask, bool],
         model: ModelParameters,
         twin_config: EstimationConfig,
         twin: TwinState,
@@ -251,7 +242,7 @@ class TensionWatch(StagedTask):
         self._loops, self._twin, self._back_cycle = tuple(loops), twin, twin.back_cycle
         axes, errors = model.axis_count, twin_config.model_errors
         sections = section_model(model)
-        usual_N = max(loop.task.set_point_N for loop in loops)
+        usual_N = max(loop.set_point_N for loop in loops)
         limits_Nm = [
             per_item(sections.drives.torque_limit_Nm, k + 1) if sections.drives else np.inf for k in range(axes)
         ]
@@ -264,7 +255,7 @@ class TensionWatch(StagedTask):
         known = model.stations is None and twin_config.web_at_rest == "as_upstream"
         estimated = twin_config.by_span(model.span_count) if known else ()
         placed = [
-            (loop.task.names.axis, loop.task.span - 1 if loop.task.span in estimated else _NOWHERE) for loop in loops
+            (loop.names.axis, loop.names.span - 1 if loop.names.span in estimated else _NOWHERE) for loop in loops
         ]
         self._states = np.zeros(len(loops), bounds.STATE)
         self._of_model = {
@@ -272,7 +263,7 @@ class TensionWatch(StagedTask):
                 sections.model_copy(update={"effects": tuple(e for e in sections.effects if e.effect not in _TURNING)})
             ),
             "rollers": np.array([_roller(sections, k, errors, usual_N) for k in range(1, axes + 1)], bounds.ROLLER),
-            "figures": np.array([_figures(model, sections, loop, errors) for loop in loops], bounds.SPAN),
+            "figures": np.array([_figures(model, sections, errors, *each) for each in loops.items()], bounds.SPAN),
             "placed": np.array(placed, _PLACED),
             "length_m": np.array([sections.span_length_m(k) for k in range(1, axes)]),
         }
@@ -286,7 +277,7 @@ class TensionWatch(StagedTask):
         of_line = [f"v{axes}_cmd_m_s", "strain_prev", "F_next_N", "cycle", "twin_status"]
         of_spans = [
             name
-            for each in (loop.task.names for loop in self._loops)
+            for each in (loop.names for loop in self._loops)
             for name in (each.twin.tension, each.twin.modulus, each.set_point, each.closed)
         ]
         arrays = _Arrays(
@@ -347,7 +338,7 @@ class TensionWatch(StagedTask):
         for k, (loop, state) in enumerate(zip(self._loops, self._states, strict=True)):
             verdict, before = float(state["reported"]), self._reported[k]
             if verdict != bounds.NOTHING and state["assumed_Pa"] > 0.0:
-                loop.task.assume_modulus(float(state["assumed_Pa"]))
+                loop.assume_modulus(float(state["assumed_Pa"]))
             self._reported[k] = verdict
             if verdict == before:
                 continue
@@ -355,7 +346,7 @@ class TensionWatch(StagedTask):
                 loop.trust.allow()
             else:
                 self._twin.refusals = (self._twin.refusals or 0) + 1
-                loop.trust.refuse(_reason(loop.task.names.span if len(self._axes) > 2 else 0, state))
+                loop.trust.refuse(_reason(loop.names.span if len(self._axes) > 2 else 0, state))
         return True
 
 
@@ -374,22 +365,20 @@ def _reason(span: int, state: Any) -> str:
 
 
 def watched_loops(
-    model: ModelParameters,
-    tasks: Sequence[TensionTask],
-    trusts: Sequence[VirtualSensorSupervision],
-    twin: EstimationConfig,
-) -> list[WatchedLoop]:
-    """Loops of the spans after which there are driven rollers and idlers alone, up to the end of the line: their
-    tension follows from the torques. A dancer, an accumulator or a reel there would add to the momentum balance."""
+    model: ModelParameters, tasks: Iterable[TensionTask], twin: EstimationConfig
+) -> dict[TensionTask, bool]:
+    """Loops, as `TensionWatch` takes them, of the spans after which there are driven rollers and idlers alone, up to
+    the end of the line: their tension follows from the torques. A dancer, an accumulator or a reel there would add to
+    the momentum balance."""
     rollers, before = model.line_rollers, axes_before_spans(model)
     methods = twin.by_span(model.span_count)
-    found = []
-    for task, trust in zip(tasks, trusts, strict=True):
+    found = {}
+    for task in tasks:
         first = before.index(task.names.axis)  # of the section, from 0
         behind = rollers[first + 1 :]
         if not any(isinstance(roller.station, CarriageStation | Reel) for roller in behind):
-            method = methods.get(task.span) or next(iter(methods.values()))
-            found.append(WatchedLoop(task, trust, not isinstance(method, PidConfig)))
+            method = methods.get(task.names.span) or next(iter(methods.values()))
+            found[task] = not isinstance(method, PidConfig)
     return found
 
 
@@ -413,10 +402,14 @@ def _roller(model: ModelParameters, axis: int, errors: ModelErrorsConfig, usual_
 
 
 def _figures(
-    model: ModelParameters, sections: ModelParameters, loop: WatchedLoop, errors: ModelErrorsConfig
+    model: ModelParameters,
+    sections: ModelParameters,
+    errors: ModelErrorsConfig,
+    loop: TensionTask,
+    follows_at_once: bool,
 ) -> tuple[float, ...]:
     """Figures of a watched span, as `tension_bounds.SPAN`."""
-    axis, usual_N = loop.task.names.axis, loop.task.set_point_N
+    axis, usual_N = loop.names.axis, loop.set_point_N
     stiffness_N, behind = sections.stiffness_N(axis), sections.axis_count - axis
     friction_N = 0.01 * errors.friction_pct * usual_N * sqrt(behind)
     at = next(number for number, roller in enumerate(model.line_rollers) if roller.axis == axis)
@@ -432,7 +425,7 @@ def _figures(
         warms_N=friction_N,
         of_speed=friction_N / errors.at_speed_m_s,
         eccentric_N=sqrt(2.0) * 1e-6 * errors.eccentricity_um * stiffness_N / sections.span_length_m(axis),
-        changes=loop.follows_at_once,
+        changes=follows_at_once,
         idlers_kg=sum(idler.inertia_kg_m2 / idler.radius_m**2 for idler in idlers),
         idlers_dry_N=sum(idler.roller_coulomb_friction_N for idler in idlers),
         idlers_viscous=sum(idler.roller_viscous_friction_N_s_per_m for idler in idlers),

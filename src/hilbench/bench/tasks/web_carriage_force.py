@@ -6,9 +6,8 @@ from functools import partial
 from math import inf
 
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.set_point import OneSetPoint
-from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, StagedTask
-from hilbench.bench.tasks.tension_task import Leader
+from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, SetPoints, StagedTask
+from hilbench.bench.tasks.tension_task import AxisTask
 from hilbench.bench.tasks.web_roller_motion import RollerMotion
 from hilbench.bench.tasks.web_winding_control import CarriageForce
 from hilbench.cycle_program import python_stage
@@ -20,7 +19,7 @@ from hilbench.topology.web_line_config import CarriageForceConfig
 from hilbench.topology.web_line_positions import FORCE_SET_POINT, position_path
 
 
-class CarriageForceTask(OneSetPoint, StagedTask):
+class CarriageForceTask(SetPoints, StagedTask):
     """Force on a carriage that keeps the tension after it, plus the force that carriage and rollers need as the driven
     rollers around them change their speeds, by the model; a cylinder pushes, and never pulls.
 
@@ -34,8 +33,8 @@ class CarriageForceTask(OneSetPoint, StagedTask):
         model: ModelParameters,
         carriage: LineCarriage,
         axis: int,
-        before: Leader,
-        behind: Leader,
+        before: AxisTask,
+        behind: AxisTask,
         state: BenchState,
     ) -> None:
         station = carriage.station
@@ -44,7 +43,7 @@ class CarriageForceTask(OneSetPoint, StagedTask):
         self._limit_N = inf if control.limit_N is None else control.limit_N
         self._ends = before, behind
         self._motions = [RollerMotion(model, number, state.cycle_s) for number in (axis, axis + 1)]
-        super().__init__(position_path(station.name, FORCE_SET_POINT), control.tension_N(station))
+        super().__init__({position_path(station.name, FORCE_SET_POINT): control.tension_N(station)})
         self._signal, self._measured = f"f_{station.name}_cmd_N", f"x_{station.name}_meas_m"
         self._starts_m = station.position_m
         self._moved = False  # until then the sensor has reported nothing

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
-from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, StagedTask
-from hilbench.bench.tasks.tension_cycle import SPEEDS
-from hilbench.bench.tasks.tension_task import Leader
+from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, SetPoints, StagedTask
+from hilbench.bench.tasks.tension_task import AxisTask
 from hilbench.bench.tasks.web_winding_control import DancerPosition, eased
 from hilbench.cycle_program import python_stage
 from hilbench.errors import BenchFaultError
@@ -22,7 +19,7 @@ from hilbench.topology.web_line_positions import FEED, SET_POINT, position_path
 _AT_STOP_M = 5e-4
 
 
-class PositionTask(StagedTask):
+class PositionTask(SetPoints, AxisTask):
     """Velocity of the axis before a carriage from the position that its sensor reports, around the speed of the axis
     after it.
 
@@ -37,7 +34,7 @@ class PositionTask(StagedTask):
         axis: int,
         control: PositionControlConfig,
         loop: DancerPosition,
-        leader: Leader,
+        leader: AxisTask,
         set_point_m: float,
         cycle_s: float,
     ) -> None:
@@ -49,34 +46,10 @@ class PositionTask(StagedTask):
         self._ramp_s = control.feed_ramp_s
         self._command = f"v{axis}_cmd_m_s"
         self._measured, self._shown = f"x_{station}_meas_m", f"x_{station}_ref_m"
-        self._set_point = position_path(station, SET_POINT)
         self._feed = position_path(station, FEED)
-        self._values = {self._set_point: set_point_m, self._feed: 1.0}
+        super().__init__({position_path(station, SET_POINT): set_point_m, self._feed: 1.0})
         self._ramped = 1.0  # share of the ramp from standstill to feeding
-        self.speeds = np.zeros(1, SPEEDS)
         self._moved = False  # until then the sensor has reported nothing
-
-    @property
-    def speed_m_s(self) -> float:
-        """Commanded web speed of the axis."""
-        return float(self.speeds["undamped"][0])
-
-    @property
-    def damped_m_s(self) -> float:
-        """Commanded web speed with damping: nothing is damped through a carriage."""
-        return self.speed_m_s
-
-    def owns(self, path: str) -> bool:
-        """True if it is the set-point, or the feed switch."""
-        return path in self._values
-
-    def value(self, path: str) -> float:
-        """Present value."""
-        return self._values[path]
-
-    def set(self, path: str, value: float) -> None:
-        """Another one."""
-        self._values[path] = value
 
     def _control(self, sample: CycleSample) -> None:
         """Command the velocity of the axis, m/s at the web."""
@@ -84,10 +57,10 @@ class PositionTask(StagedTask):
         if share < 1.0 or not self._moved:
             velocity_m_s = self._loop.let_go(behind_m_s, self._cycle_s)
         else:
-            wanted_m, position_m = self._values[self._set_point], getattr(sample, self._measured)
+            wanted_m, position_m = self._set_point, getattr(sample, self._measured)
             velocity_m_s = self._loop.velocity(behind_m_s, wanted_m, 0.0, position_m, self._cycle_s)
         speed_m_s = share * velocity_m_s
-        self.speeds[0] = speed_m_s, speed_m_s
+        self.speeds[0] = speed_m_s, speed_m_s  # nothing is damped through a carriage
         setattr(sample, self._command, speed_m_s)
 
     def _share(self) -> float:
@@ -99,13 +72,13 @@ class PositionTask(StagedTask):
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Record the set-point."""
         self._moved = True
-        setattr(sample, self._shown, self._values[self._set_point])
+        setattr(sample, self._shown, self._set_point)
 
     def stages(self, sample: CycleSample) -> CompiledStages:
         """Python's stage that makes the velocity command; the sample shows the set-point, and keeps it."""
 
         def cycles() -> int:
-            return MANY if self._moved and getattr(sample, self._shown) == self._values[self._set_point] else 0
+            return MANY if self._moved and getattr(sample, self._shown) == self._set_point else 0
 
         before = [python_stage(partial(self._control, sample))]
         return CompiledStages(before=before, cycles=cycles, shown={self._drive: self._command})
@@ -114,7 +87,7 @@ class PositionTask(StagedTask):
         """The carriage is as at the start when the drives are enabled again."""
         self._moved = False
         self._loop.reset()
-        setattr(sample, self._shown, self._values[self._set_point])
+        setattr(sample, self._shown, self._set_point)
 
 
 class CarriageStops(StagedTask):

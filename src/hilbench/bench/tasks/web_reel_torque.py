@@ -5,9 +5,8 @@ from __future__ import annotations
 from functools import partial
 
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.set_point import OneSetPoint
-from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, StagedTask
-from hilbench.bench.tasks.tension_task import Leader
+from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, SetPoints, StagedTask
+from hilbench.bench.tasks.tension_task import AxisTask
 from hilbench.bench.tasks.web_roller_motion import RollerMotion
 from hilbench.bench.tasks.web_winding_control import ReelMechanics, ReelTension
 from hilbench.cycle_program import python_stage
@@ -20,7 +19,7 @@ from hilbench.topology.web_line_config import ReelControlConfig, span_beside_ree
 from hilbench.topology.web_line_quantities import tension_set_point
 
 
-class ReelTorqueTask(OneSetPoint, StagedTask):
+class ReelTorqueTask(SetPoints, StagedTask):
     """Torque of a reel's drive from the tension that the load cell next to it reports.
 
     The set-point, N, is settable. With the twin's feed-forward the pull acts at the twin's radius, and the
@@ -33,7 +32,7 @@ class ReelTorqueTask(OneSetPoint, StagedTask):
         control: ReelControlConfig,
         drive: str,
         axis: int,
-        leader: Leader,
+        leader: AxisTask,
         leading: int,
         model: ModelParameters,
         shape: Shape,
@@ -47,7 +46,7 @@ class ReelTorqueTask(OneSetPoint, StagedTask):
         self._loop = ReelTension(self._reel, control.gain, control.rate_per_s, limit_Nm, control.derivative_s)
         self._ahead = RollerMotion(model, leading, state.cycle_s) if control.feed_forward == "twin" else None
         self._counted_m = model.radius_m(axis)
-        super().__init__(tension_set_point(number), control.set_point_N)
+        super().__init__({tension_set_point(number): control.set_point_N})
         self._cell, self._shown = f"F_{control.load_cell}_meas_N", f"F{number}_ref_N"
         self._closed = f"loop{number}_closed"
         self._radius, self._torque = f"r_{control.reel}_sim_m", f"tau{axis}_cmd_Nm"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from hilbench.bench.tasks.task import CompiledStages, StagedTask
-from hilbench.bench.tasks.tension_task import Leader
+from hilbench.bench.tasks.tension_task import AxisTask
 from hilbench.cycle_program import python_stage
 from hilbench.topology.sample import CycleSample
 
@@ -34,7 +34,7 @@ class ReelSpeeds(StagedTask):
     `line_speed`: signal of the speed of the leading axis at the web, "" where only its command is needed.
     """
 
-    def __init__(self, reels: Sequence[MeasuredReel], leader: Leader, line_speed: str) -> None:
+    def __init__(self, reels: Sequence[MeasuredReel], leader: AxisTask, line_speed: str) -> None:
         self._reels = [(reel, f"v{reel.axis}_cmd_m_s") for reel in reels]
         self._leader = leader
         self._line_speed = line_speed

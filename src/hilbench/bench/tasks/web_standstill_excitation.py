@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import cos, nan, pi
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -38,18 +38,6 @@ def _goal(half: float) -> float:
     return -1.0 if half % 4 in (0, 3) else 1.0
 
 
-class LeadingRoller(Protocol):
-    """The last axis, which the others follow."""
-
-    creep_m_s: float  #: of all
-
-
-class PulledRoller(Protocol):
-    """An axis of the line."""
-
-    pull_m_s: float  #: of this one alone; nan: there is no movement
-
-
 def excitation_amplitudes_m(model: ModelParameters, set_points_N: Sequence[float], travel_m: float) -> Array:
     """Amplitude of each roller (N,) for the change of the tensions, or as much of it as the
     permitted travel allows; `set_points_N`: of the spans (N - 1,).
@@ -73,13 +61,17 @@ def excitation_amplitudes_m(model: ModelParameters, set_points_N: Sequence[float
 
 
 class StandstillExcitation:
-    """Runs one movement after the other; `axes` (N,): of the line, `positions_m` reads their positions at the web of a
-    sample; `pulled_m` (N,): additional displacement of each for the highest tensions (`excitation_amplitudes_m`)."""
+    """Runs one movement after the other; `positions_m` reads the positions of the axes at the web of a sample;
+    `pulled_m` (N,): additional displacement of each for the highest tensions (`excitation_amplitudes_m`).
+
+    It sets `creep_m_s` of `leader`, which all axes follow, and `pull_m_s` of each of the `axes` (N,) alone, nan while
+    there is no movement: records of what is added to their speeds.
+    """
 
     def __init__(
         self,
-        leader: LeadingRoller,
-        axes: Sequence[PulledRoller],
+        leader: Any,
+        axes: Sequence[Any],
         positions_m: Positions,
         travel_m: float,
         pulled_m: Array,

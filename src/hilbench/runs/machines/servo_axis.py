@@ -7,7 +7,7 @@ from typing import Final
 from hilbench.arrays import Array
 from hilbench.runs.machines.machine import Estimate, MachineMetrics, nothing_to_judge, speed_metrics
 from hilbench.runs.segment import Metric, Segment
-from hilbench.topology.main_quantities.servo_axis import FRICTION, INERTIA, SPEED
+from hilbench.topology.servo_axis import FRICTION, INERTIA, SPEED
 from hilbench.topology.signals import Shape
 
 _NOTHING: Final = nothing_to_judge("shaft")

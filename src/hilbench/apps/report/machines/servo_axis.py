@@ -18,7 +18,7 @@ from hilbench.apps.report.panel import (
     estimate,
 )
 from hilbench.runs.figures import ESTIMATE_BAND
-from hilbench.topology.main_quantities.servo_axis import FRICTION, INERTIA
+from hilbench.topology.servo_axis import FRICTION, INERTIA
 from hilbench.topology.signals import Shape
 
 _BAND: Final = f"with a band of ±{100 * ESTIMATE_BAND:g} % (grey)"

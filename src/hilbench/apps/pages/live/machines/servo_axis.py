@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from hilbench.apps.pages.live.machines import svg
 from hilbench.arrays import Array
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.main_quantities.servo_axis import INERTIA
+from hilbench.topology.servo_axis import INERTIA
 
 _WIDTH, _HEIGHT, _MIDDLE, _RADIUS = 620.0, 190.0, 80.0, 46.0
 
