@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from tests.plant.models import model
 from tests.tiers import slow
-from tests.twin.beside_a_line import Array, BesideALine, line_model
+from tests.twin.beside_a_line import CYCLE_S, Array, BesideALine, line_model
 
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.config import EstimationConfig
+from hilbench.estimation.web_line.splices import Entered, Joint, SpliceFinder
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.runs.config import load_with_overrides
 
@@ -80,6 +81,28 @@ def test_after_a_long_hold_a_step_of_e_is_no_web_that_comes_in(speed_m_s: float)
     both.line.set_parameter("span1.youngs_modulus_Pa", 1.05 * OLD_PA)
     both.go(15.0)
     assert error(both.table(), 1, 12.3, 15.0) < 0.01
+
+
+def test_a_joint_that_was_none_leaves_no_trace_in_the_spans_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = BesideALine(line_model(*LENGTHS_M, 3.0), EstimationConfig(splices=True))
+    both.go(1.0, SPEED_M_S)
+    both.go(5.0)
+    asked: list[float] = []
+
+    def found(finder: SpliceFinder, now: object, before_m: float, seeming: float) -> Entered | None:
+        asked.append(before_m)
+        if len(asked) == 1:
+            return Entered(Joint(before_m, 0.15, float("inf")))
+        return Entered(None) if len(asked) == 150 else None
+
+    monkeypatch.setattr(SpliceFinder, "update", found)
+    both.go(7.0)
+    assert len(asked) > 150
+    told = both.table()
+    later = told["t_s"] > 5.0 + 151 * CYCLE_S + 0.1
+    for span in (1, 2, 3):
+        np.testing.assert_allclose(told[f"F{span}_sim_N"][later], told[f"F{span}_true_N"][later], rtol=1.5e-3)
+        assert error(told, span, 5.7, 7.0) < 0.01
 
 
 @pytest.mark.parametrize("change", [0.12, *slow(-0.08, -0.15)])

@@ -64,6 +64,8 @@ class _Span:
 
     tracking: SpanEstimator
     joints: list[_Inside] = field(default_factory=list)
+    #: Strain that it would have more if no joint had come into the first span.
+    without_joint: float = 0.0
 
     def put(self) -> None:
         """Set these joints in the measured web."""
@@ -105,6 +107,8 @@ class SpliceTracker:
         self._state["seeming"], self._state["strain"] = 1.0, 0.0
         self._memories.clear()
         self._before: Known | None = None
+        for span in self._spans:
+            span.without_joint = 0.0
 
     def update(self, positions_m: Sequence[float]) -> None:
         """Track joints after the spans' comparison; positions (K + 1,) of the rollers around them, at the web, m."""
@@ -139,6 +143,10 @@ class SpliceTracker:
         tracking.believe(known, tracking.strain * self._seeming * entered.strain_ratio)
         first.joints = [] if entered.joint is None else [_Inside(entered.joint)]
         first.put()
+        if entered.joint is None:  # the spans behind were entered by web of a joint that was none
+            for behind in self._spans[1:]:
+                of_behind = behind.tracking
+                of_behind.believe(of_behind.known(), of_behind.strain + behind.without_joint)
         self._state["seeming"] = 1.0 / entered.strain_ratio
 
     def _known_before(self, joint: Joint | None) -> Known:
@@ -165,6 +173,11 @@ class SpliceTracker:
         # All pieces carry the same tension, each with its own strain.
         leaving = strain * float(t["series_factor"]) / float(t["end_factor"])
         self._state["seeming"] = (seems + strain - before + share * (leaving - seems)) / strain
+        more = self._seeming * strain - leaving
+        for behind in self._spans[1:]:
+            share = max(now.velocity_m_s, 0.0) * self._cycle_s / behind.tracking.length_m
+            behind.without_joint += share * (more - behind.without_joint)
+            more = behind.without_joint
 
     def _hand_on(self, span: _Span, behind: _Span | None, before_m: float, behind_m: float) -> None:
         """Move joints that have passed a span to the next one; a span filled by the new web takes its E."""
