@@ -54,6 +54,9 @@ _OFTENER, _FOLLOWED = 9.2, 0.5
 #: Variance of the strain since the change over that before, from which on its movement outweighs its disturbances: a
 #: slope is then off by a fifth of what the disturbances alone would show (errors in variables).
 _MOVED = 5.0
+#: Memory, in blocks, of what either line leaves of the blocks that come: where both leave more than is noticed, there
+#: was another change, and blocks from before and behind it are on no line.
+_RECENT: Final = 8.0
 #: Blocks that an explanation needs, after which it counts as undecided, and after which it is closed.
 _LEAST, _LONG, _LONGEST = 15, 150, 3000
 
@@ -68,6 +71,7 @@ SHIFT: Final = np.dtype(
             *("open", "modulus_Pa", "stated_Pa", "web_per_Pa", "web_variance_per_Pa2", "variance_N2", "slowness"),
             *("hits", "leans_to_modulus", "has_followed", "last_N", "web_last_per_Pa"),
             *("count", "f", "h", "ff", "fh", "hh", "dff", "dfh", "dhh", "found_N", "found_Pa"),
+            *("left_by_modulus_N", "left_by_shift_N"),
         ).descr,
         ("before", RING),
         *[(name, "f8", (_BEFORE,)) for name in ("forces_N", "webs_per_Pa", "speeds_m_s", "moduli_Pa")],
@@ -144,7 +148,21 @@ def _is_noticed(s: Record, block_N: float, block_per_Pa: float) -> bool:
     s.stated_Pa = s.moduli_Pa[ring.place(s.before, _BEFORE, count - 1)]
     s.hits, s.leans_to_modulus, s.has_followed = _HIT, 0.0, 0.0
     s.count = s.f = s.h = s.ff = s.fh = s.hh = s.dff = s.dfh = s.dhh = 0.0
+    s.left_by_modulus_N = s.left_by_shift_N = 0.0
     return True
+
+
+@compiled
+def _has_changed_again(s: Record, f: float, h: float) -> bool:
+    """True if neither line that the blocks since the change are on goes on through those that come: there was another
+    change."""
+    if s.count < 2.0 * _LEAST:
+        return False
+    modulus_Pa, shift_N = s.fh / s.hh, (s.f - s.modulus_Pa * s.h) / s.count
+    s.left_by_modulus_N += (f - modulus_Pa * h - s.left_by_modulus_N) / _RECENT
+    s.left_by_shift_N += (f - s.modulus_Pa * h - shift_N - s.left_by_shift_N) / _RECENT
+    least_N = _CHANGED_NOISES * sqrt(s.slowness * s.variance_N2 / (2.0 * _RECENT))
+    return min(abs(s.left_by_modulus_N), abs(s.left_by_shift_N)) > max(least_N, 0.5 * _CHANGED * abs(s.f / s.count))
 
 
 @compiled
@@ -152,6 +170,9 @@ def _explain(s: Record, f: float, h: float, may_decide: bool, deviation_N: float
     if s.hits > 0.0:
         s.hits -= 1.0
         s.web_last_per_Pa = h
+        return False
+    if _has_changed_again(s, f, h):
+        reset(s)
         return False
     df, dh = f - s.last_N, h - s.web_last_per_Pa
     late_N = LATE * s.modulus_Pa * dh
