@@ -88,10 +88,10 @@ def new(
     given = strict_yaml.load(_GIVEN / f"{kind}.yaml").data
     document = _with_eds(strict_yaml.Document(path, given, {(): str(path)}), new_bench, eds)
     questions, answered = (*_QUESTIONS, *new_bench.questions), set[Place]()
-    document = _with_suggestions(document, new_bench, questions, answered)
+    document = _with_suggestions(document, questions, answered)
     while True:
         if not defaults:
-            document = _asked(document, new_bench, questions, answered)
+            document = _asked(document, questions, answered)
         config = strict_yaml.validate(document, ExperimentConfig)
         try:
             check_bench(config, document)
@@ -130,36 +130,33 @@ def _nodes(data: Mapping[str, Any], at: Place = ()) -> Iterator[Place]:
             yield from _nodes(below, (*at, key))
 
 
-def _with_suggestions(
-    document: Document, new_bench: NewBench, questions: Sequence[Question], answered: set[Place]
-) -> Document:
-    """The document with what is suggested wherever nobody has answered, one after the other, and what follows."""
+def _with_suggestions(document: Document, questions: Sequence[Question], answered: set[Place]) -> Document:
+    """The document with what is suggested wherever nobody has answered, one after the other."""
     for question, location, suggested in questions:
         if location not in answered:
             value = suggested(document.value) if callable(suggested) else suggested
-            document = document.with_value(location, value, question)
-    for location, following in new_bench.follows.items():
-        document = document.with_value(location, following(document.value), str(document.path))
+            document = document.with_value(location, value, question or str(document.path))
     return document
 
 
-def _asked(document: Document, new_bench: NewBench, questions: Sequence[Question], answered: set[Place]) -> Document:
+def _asked(document: Document, questions: Sequence[Question], answered: set[Place]) -> Document:
     """The document with an answer to every question, each added to `answered`; what it has already is suggested."""
     from hilbench import strict_yaml
     from hilbench.runs.config import ExperimentConfig
 
     for question, location, _ in questions:
-        while True:
+        while question:
             suggested = document.value(location)
             value = _answer(question, suggested, type(suggested))
             tried = document.with_value(location, value, question)
             try:
                 strict_yaml.validate(tried, ExperimentConfig)
-                break
             except UnusableInputError as error:
                 typer.echo(str(error), err=True)
-        answered.add(location)
-        document = _with_suggestions(tried, new_bench, questions, answered)
+                continue
+            answered.add(location)
+            document = _with_suggestions(tried, questions, answered)
+            break
     return document
 
 

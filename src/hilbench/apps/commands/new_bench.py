@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final
 
 #: A key of the config, from its root.
@@ -20,8 +20,8 @@ DRIVES: Final = ("machine", "drives")
 class NewBench:
     """A machine of one kind: simulated drives, and a first experiment that can be run."""
 
-    questions: tuple[tuple[str, Place, Suggested], ...]  #: question, place of the answer, what is suggested
-    follows: Mapping[Place, Callable[[Answers], float]] = field(default_factory=dict)  #: from the answers, unasked
+    #: Question, place of the answer, what is suggested; without a question it is taken unasked.
+    questions: tuple[tuple[str, Place, Suggested], ...]
     virtual_io: str = "hilbench_virtual_io.eds"  #: EDS file of the twin's virtual I/O
 
 
@@ -62,10 +62,8 @@ SERVO_AXIS: Final = NewBench(
         ),
         ("speed in rad/s", ("steps", 0, "ramp", "to"), 20.0),
         ("largest error of the inertia at the end in %", ("criteria", 0, "max"), 2.0),
+        ("", (*DRIVES, "velocity_kp_Nm_s_per_rad"), lambda answers: _scaled(1.5, answers)),
+        ("", (*DRIVES, "velocity_ki_Nm_per_rad"), lambda answers: _scaled(30.0, answers)),
     ),
-    follows={
-        (*DRIVES, "velocity_kp_Nm_s_per_rad"): lambda answers: _scaled(1.5, answers),
-        (*DRIVES, "velocity_ki_Nm_per_rad"): lambda answers: _scaled(30.0, answers),
-    },
     virtual_io="hilbench_virtual_io_servo_axis.eds",
 )

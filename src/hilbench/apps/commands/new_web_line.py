@@ -78,9 +78,7 @@ WEB_LINE: Final = NewBench(
         ),
         ("largest error of E at the end in %", ("criteria", 0, "max"), 2.0),
         ("largest error of the true tension at the end in N", ("criteria", 1, "max"), 2.0),
-    ),
-    follows={
-        (*DRIVES, "velocity_kp_Nm_s_per_rad"): lambda answers: _gain(_KP, answers),
-        (*DRIVES, "velocity_ki_Nm_per_rad"): lambda answers: _gain(_KI, answers),
-    },
+        ("", (*DRIVES, "velocity_kp_Nm_s_per_rad"), lambda answers: _gain(_KP, answers)),
+        ("", (*DRIVES, "velocity_ki_Nm_per_rad"), lambda answers: _gain(_KI, answers)),
+    )
 )

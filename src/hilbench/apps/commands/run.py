@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -52,7 +52,13 @@ def run_command(
     """Run the experiment, show it, and return the exit code; `stream`: where its samples go while it runs; `beside`:
     copies of this process for those that run beside the bench; `require_criteria`: a run that nothing judges fails."""
     console = Console(highlight=False, quiet=as_json)
-    with _streams(stream, loaded.config) as streams:
+    with ExitStack() as entered:
+        streams: Sequence[Streamed] = []
+        if stream:  # most runs need not load what streams do
+            from hilbench.apps.streams.sinks import parse_target
+            from hilbench.apps.streams.stream import streams_to
+
+            streams = entered.enter_context(streams_to([parse_target(each) for each in stream], loaded.config))
         alone = participants is Participants.IN_PROCESS
         where = "in this process, on no bus: no monitor receives it" if alone else loaded.config.bus.address
         console.print(f"[bold]{loaded.config.name}[/bold]  {where}; {loaded.config.pace}")
@@ -83,19 +89,6 @@ def run_command(
     if as_json:
         print(outcome.as_json())
     return outcome.exit_code
-
-
-@contextmanager
-def _streams(targets: Sequence[str], config: BenchConfig) -> Iterator[Sequence[Streamed]]:
-    """None without a target: most runs need not load what streams do."""
-    if not targets:
-        yield []
-        return
-    from hilbench.apps.streams.sinks import parse_target
-    from hilbench.apps.streams.stream import streams_to
-
-    with streams_to([parse_target(each) for each in targets], config) as streams:
-        yield streams
 
 
 def _write_report(outcome: RunOutcome) -> None:

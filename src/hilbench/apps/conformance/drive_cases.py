@@ -195,7 +195,7 @@ def several_axes(dut: DeviceUnderTest) -> None:
 def _codes(dut: DeviceUnderTest, index: int, codes: range) -> Iterator[tuple[int, int]]:
     """Each code that the drive takes, the motor turning; and its speed. The drive is off after each."""
     dut.needs_to_write((index, 0))
-    at = speed(dut)
+    velocity, _ = speed(dut)
     taken = 0
     for code in codes:
         answer = dut.offer(index, code)
@@ -203,10 +203,10 @@ def _codes(dut: DeviceUnderTest, index: int, codes: range) -> Iterator[tuple[int
             dut.notes.append(f"{index:04X}h = {code} is not taken ({taken_text(answer)})")
             continue
         taken += 1
-        turn(dut, at.velocity)
-        yield code, at.velocity
+        turn(dut, velocity)
+        yield code, velocity
         switch_off(dut)
-        time_to_rest(dut, at.velocity)
+        time_to_rest(dut, velocity)
     if not taken:
         raise NotApplicableError(f"{index:04X}h takes no code of the standard")
 
@@ -334,9 +334,9 @@ def profile_position(dut: DeviceUnderTest) -> None:
 
 def _motion(dut: DeviceUnderTest) -> tuple[int, int]:
     """Speed of a motion to a position, which is set, and position units of a turn."""
-    at = speed(dut)
-    write(dut, {(objects.PROFILE_VELOCITY, 0): at.velocity})
-    return at.velocity, round(2.0 * pi / at.units.position_rad)
+    velocity, known = speed(dut)
+    write(dut, {(objects.PROFILE_VELOCITY, 0): velocity})
+    return velocity, round(2.0 * pi / known.position_rad)
 
 
 def _begin(dut: DeviceUnderTest) -> None:
@@ -362,16 +362,16 @@ def _set_point(dut: DeviceUnderTest, target: int) -> None:
 
 def profile_velocity(dut: DeviceUnderTest) -> None:
     """Examine profile velocity: bit 10 at speed, bit 12 at rest."""
-    at = speed(dut)
-    turn(dut, at.velocity)
+    velocity, _ = speed(dut)
+    turn(dut, velocity)
     status_bit(dut, "at speed: target reached", STATUS_TARGET_REACHED, duration_s=2.0)
     status_bit(dut, "at speed: not at rest", STATUS_MODE_12, set_=False)
     dut.write(objects.TARGET_VELOCITY, 0, 0)
     status_bit(dut, "at rest: speed 0", STATUS_MODE_12, duration_s=5.0 * SLOW_RAMP_S)
-    dut.write(objects.TARGET_VELOCITY, 0, -at.velocity)
-    turned = wait(dut, lambda: actual_velocity(dut) <= -0.8 * at.velocity, 5.0 * SLOW_RAMP_S)
-    dut.check("backward", f"{-at.velocity} (606Ch)", str(actual_velocity(dut)), turned is not None)
-    _halt(dut, at.velocity)
+    dut.write(objects.TARGET_VELOCITY, 0, -velocity)
+    turned = wait(dut, lambda: actual_velocity(dut) <= -0.8 * velocity, 5.0 * SLOW_RAMP_S)
+    dut.check("backward", f"{-velocity} (606Ch)", str(actual_velocity(dut)), turned is not None)
+    _halt(dut, velocity)
     switch_off(dut)
 
 
@@ -418,16 +418,16 @@ def software_limits(dut: DeviceUnderTest) -> None:
 
 def velocity_limits(dut: DeviceUnderTest) -> None:
     """Half the speed is the limit."""
-    at = speed(dut)
+    velocity, _ = speed(dut)
     there = [i for i in (objects.MAX_PROFILE_VELOCITY, objects.MAX_MOTOR_SPEED) if dut.eds.can_write(i)]
     if not there:
         raise NotApplicableError("neither 607Fh nor 6080h can be written by the EDS file")
     for index in there:
         before = dut.value(index)
-        limit = at.velocity // 2
+        limit = velocity // 2
         dut.write(index, 0, limit if index == objects.MAX_PROFILE_VELOCITY else 30)
         enable(dut, OperationMode.PROFILE_VELOCITY)
-        answer = dut.offer(objects.TARGET_VELOCITY, at.velocity)
+        answer = dut.offer(objects.TARGET_VELOCITY, velocity)
         dut.wait(2.0 * SLOW_RAMP_S)
         found = abs(actual_velocity(dut))
         most = round(_TOLERATED * limit) + 1

@@ -13,7 +13,6 @@ from hilbench.apps.conformance.description import Description, Pdo
 from hilbench.apps.conformance.record import CaseEndedError, NotAllowedError, NotApplicableError, Step
 from hilbench.apps.conformance.wire import Wire
 from hilbench.can.frame import REMOTE_FLAG, Frame
-from hilbench.canopen.data_types import data_type
 from hilbench.canopen.identifiers import (
     COB_ID,
     EMERGENCY,
@@ -263,9 +262,8 @@ class DeviceUnderTest:
 
     def signed(self, index: int, sub: int = 0) -> int:
         """Value decoded as its type in the EDS file."""
-        width = self.eds.entry(index, sub).width or 4
-        kind = data_type(self.eds.entry(index, sub).variable.data_type or 0)
-        return int(kind.decode(self.value(index, sub).to_bytes(width, "little")))
+        kind = self.eds.entry(index, sub).kind
+        return int(kind.decode(self.value(index, sub).to_bytes(kind.width or 4, "little")))
 
     def reads(self, what: str, index: int, sub: int, expected: int) -> bool:
         """Expect a number (unsigned) in an object."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 from hilbench.apps.conformance.dut import DeviceUnderTest
@@ -200,14 +199,6 @@ def _try_command(dut: DeviceUnderTest, word: Command) -> None:
 # -- turning ---------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Speed:
-    """Speed of a drive in a case, in its own units."""
-
-    velocity: int
-    units: DriveUnits
-
-
 def units(dut: DeviceUnderTest) -> DriveUnits:
     """Units in the drive's objects. Raises NotApplicableError when they are missing."""
 
@@ -220,8 +211,9 @@ def units(dut: DeviceUnderTest) -> DriveUnits:
         raise NotApplicableError(f"the drive does not define its units: {error.problem}") from error
 
 
-def speed(dut: DeviceUnderTest) -> Speed:
-    """60 rpm of the motor, or what 6080h and 607Fh allow of it; ramps are set to go with it."""
+def speed(dut: DeviceUnderTest) -> tuple[int, DriveUnits]:
+    """60 rpm of the motor in its own units, or what 6080h and 607Fh allow of it, and those units; ramps are set to go
+    with it."""
     known = units(dut)
     limits = [_SPEED_RPM]
     if dut.eds.has(objects.MAX_MOTOR_SPEED):
@@ -239,14 +231,13 @@ def speed(dut: DeviceUnderTest) -> Speed:
     for index, duration_s in ramps.items():
         if dut.eds.can_write(index):
             dut.write(index, 0, max(1, round(velocity / duration_s)))
-    return Speed(velocity, known)
+    return velocity, known
 
 
 def turn(dut: DeviceUnderTest, velocity: int) -> None:
     """Enabled in profile velocity mode, and at speed."""
     needs_mode(dut, OperationMode.PROFILE_VELOCITY)
-    bring(dut, State.OPERATION_ENABLED)
-    choose(dut, OperationMode.PROFILE_VELOCITY)
+    enable(dut, OperationMode.PROFILE_VELOCITY)
     dut.write(objects.TARGET_VELOCITY, 0, velocity)
     if wait(dut, lambda: abs(actual_velocity(dut)) >= 0.8 * abs(velocity), 5.0 * SLOW_RAMP_S) is None:
         dut.must(dut.check("at speed", f"{velocity} (606Ch)", str(actual_velocity(dut)), False))
