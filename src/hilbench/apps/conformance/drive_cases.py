@@ -113,7 +113,7 @@ def _quick_stop_active(dut: DeviceUnderTest) -> None:
 
 def _needs_staying(dut: DeviceUnderTest) -> None:
     """605Ah so that the drive stays in QUICK STOP ACTIVE."""
-    dut.needs_to_write((objects.QUICK_STOP_OPTION_CODE, 0))
+    dut.needs_to_write([(objects.QUICK_STOP_OPTION_CODE, 0)])
     if not any(dut.offer(objects.QUICK_STOP_OPTION_CODE, code) == b"" for code in _STAYS):
         raise NotApplicableError("605Ah takes none of 5 to 8: the drive never stays in QUICK STOP ACTIVE")
 
@@ -194,7 +194,7 @@ def several_axes(dut: DeviceUnderTest) -> None:
 
 def _codes(dut: DeviceUnderTest, index: int, codes: range) -> Iterator[tuple[int, int]]:
     """Each code that the drive takes, the motor turning; and its speed. The drive is off after each."""
-    dut.needs_to_write((index, 0))
+    dut.needs_to_write([(index, 0)])
     velocity, _ = speed(dut)
     taken = 0
     for code in codes:

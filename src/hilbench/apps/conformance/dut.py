@@ -87,15 +87,15 @@ class DeviceUnderTest:
         if not self.store:
             raise NotAllowedError("writes the device's memory (1010h, 1011h): --allow-store")
 
-    def needs(self, *keys: Key) -> None:
+    def needs(self, keys: Sequence[Key]) -> None:
         """Raises NotApplicableError when the EDS file lacks one of them."""
         for index, sub in keys:
             if not self.eds.has(index, sub):
                 raise NotApplicableError(f"{self.name(index, sub)} is not in the EDS file")
 
-    def needs_to_write(self, *keys: Key) -> None:
+    def needs_to_write(self, keys: Sequence[Key]) -> None:
         """Raises NotApplicableError when the EDS file lacks one of them, or has it read-only."""
-        self.needs(*keys)
+        self.needs(keys)
         for index, sub in keys:
             if not self.eds.can_write(index, sub):
                 raise NotApplicableError(
@@ -335,7 +335,7 @@ class DeviceUnderTest:
 
     def produce_heartbeats(self, period_ms: int = _HEARTBEAT_MS) -> None:
         """Set 1017h. Raises NotApplicableError for a device without."""
-        self.needs_to_write((0x1017, 0))
+        self.needs_to_write([(0x1017, 0)])
         self.write(0x1017, 0, period_ms)
 
     def shows(self, state: NmtState) -> bool:

@@ -174,4 +174,4 @@ def block_download(dut: DeviceUnderTest, key: Key, crc: bool) -> None:
 
 def further_servers(dut: DeviceUnderTest) -> None:
     """SDO servers of the file are there, and no others."""
-    read_if_there(dut, "43", *((index, 1) for index in range(0x1201, 0x1280)))
+    read_if_there(dut, "43", [(index, 1) for index in range(0x1201, 0x1280)])
