@@ -226,25 +226,17 @@ def _ramp(dut: DeviceUnderTest, what: str, velocity: int, ramp_s: float | None) 
 _RAMPS: Final = {1: SLOW_RAMP_S, 2: QUICK_RAMP_S, 5: SLOW_RAMP_S, 6: QUICK_RAMP_S}
 
 
-def quick_stop(dut: DeviceUnderTest) -> None:
-    """0 to 4 end in SWITCH ON DISABLED, 5 to 8 stay in QUICK STOP ACTIVE; 1 and 5 by 6084h, 2 and 6 by 6085h."""
-    for code, velocity in _codes(dut, objects.QUICK_STOP_OPTION_CODE, range(9)):
-        command(dut, Command.QUICK_STOP.value)
-        if code:
-            _ramp(dut, f"605Ah = {code}", velocity, _RAMPS.get(code))
-        expect_state(dut, f"605Ah = {code}", State.QUICK_STOP_ACTIVE if code >= 5 else State.SWITCH_ON_DISABLED)
-
-
-def disabling(dut: DeviceUnderTest, key: Key, asked: Command, after: State) -> None:
-    """0: power off at once; 1: down the ramp first."""
-    for code, velocity in _codes(dut, key[0], range(2)):
+def stopping(
+    dut: DeviceUnderTest, key: Key, asked: Command, codes: int, after: State, at_once_s: float = STATE_S
+) -> None:
+    """0: power off at once, within a time; others down a ramp first (1 and 5 by 6084h, 2 and 6 by 6085h), and those of
+    a quick stop from 5 on stay in QUICK STOP ACTIVE."""
+    for code, velocity in _codes(dut, key[0], range(codes)):
+        what, end = f"{key[0]:04X}h = {code}", State.QUICK_STOP_ACTIVE if code in _STAYS else after
         command(dut, asked.value)
-        what = f"{key[0]:04X}h = {code}"
         if code:
-            _ramp(dut, what, velocity, SLOW_RAMP_S)
-            expect_state(dut, what, after)
-        else:
-            expect_state(dut, what, after, duration_s=0.3)
+            _ramp(dut, what, velocity, _RAMPS.get(code))
+        expect_state(dut, what, end, duration_s=STATE_S if code else at_once_s)
 
 
 def halt(dut: DeviceUnderTest) -> None:
