@@ -26,7 +26,6 @@ from hilbench.results.commissioned import commissioned_text
 from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, Streamed, run_experiment
 from hilbench.runs.config import LoadedConfig
-from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.machines.web_line import shape_of_figures
 from hilbench.runs.metrics import kind_of_figures
 from hilbench.topology.config import BenchConfig
@@ -177,8 +176,7 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
     _show_criteria(console, result)
     if result.steps and len(result.steps) > 1:
         console.print(_steps_table(result.steps))
-    timing = result.timing
-    console.print(_timing_line(timing))
+    console.print(_timing_line(result.timing))
     for warning in result.all_warnings():
         console.print(f"[yellow]warning[/yellow] {warning}", soft_wrap=True)
     for fault in result.faults:
@@ -199,7 +197,12 @@ def _show_criteria(console: Console, result: Result) -> None:
     left_out = [row for row in result.criteria if result.faults and row.value is None and not row.never]
     rows = [row for row in result.criteria if row not in left_out]
     if rows:
-        console.print(_criteria_table(rows))
+        cells = [
+            (row.name, "-" if row.value is None else f"{row.value:.6g}", str(row.limit), row.unit, _marked(row.verdict))
+            for row in rows
+        ]
+        columns = ("criterion", ">value", "limit", "unit", "")
+        console.print(table(columns, cells, framed=True, title="Criteria"))
     for row in rows:
         if row.reason:
             console.print(f"{_marked(row.verdict)} {escape(row.name)}: {escape(row.reason)}", soft_wrap=True)
@@ -251,14 +254,6 @@ def _timing_line(timing: Timing) -> str:
         late = ", ".join(f"{each.share_pct:.1f} % of {name}" for name, each in timing.late.items())
         parts.append(f"late samples: {late}")
     return ", ".join(parts)
-
-
-def _criteria_table(rows: Sequence[CriterionResult]) -> Table:
-    cells = [
-        (row.name, "-" if row.value is None else f"{row.value:.6g}", str(row.limit), row.unit, _marked(row.verdict))
-        for row in rows
-    ]
-    return table(("criterion", ">value", "limit", "unit", ""), cells, framed=True, title="Criteria")
 
 
 def _marked(verdict: str) -> str:

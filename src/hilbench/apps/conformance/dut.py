@@ -65,6 +65,7 @@ class DeviceUnderTest:
         self.eds = description
         self.motion, self.store = motion, store
         self._boot_s = boot_s
+        self._answer_id = SDO_ANSWER + node_id
         self.steps: list[Step] = []
         self.notes: list[str] = []
         #: Objects that were written, and whether all may be others since a reset.
@@ -123,7 +124,7 @@ class DeviceUnderTest:
         """Frames since the last call, and in this time; answers to SDO requests left out."""
         found = [*self._received, *self.wire.listen(duration_s)]
         self._received = []
-        return [received for received in found if received.can_id != SDO_ANSWER + self.node_id]
+        return [received for received in found if received.can_id != self._answer_id]
 
     def receive_until(self, can_id: int, then_s: float) -> list[Frame]:
         """Frames up to one that is awaited as long as an answer, and for a time behind it."""
@@ -192,17 +193,16 @@ class DeviceUnderTest:
 
     def exchange(self, request: bytes) -> bytes | None:
         """The answer to an SDO request; None: there is none. An answer that is late is not taken for the next one's."""
-        answer_id = SDO_ANSWER + self.node_id
         names_object = request[0] >> 5 in _NAMES_OBJECT and len(request) == _SDO_BYTES
-        self._received += [received for received in self.wire.listen(0.0) if received.can_id != answer_id]
+        self._received += [received for received in self.wire.listen(0.0) if received.can_id != self._answer_id]
 
         def answers(received: Frame) -> bool:
-            return received.can_id == answer_id and (not names_object or received.data[1:4] == request[1:4])
+            return received.can_id == self._answer_id and (not names_object or received.data[1:4] == request[1:4])
 
         self.send(SDO_REQUEST + self.node_id, request)
         found = self.wire.listen(_ANSWER_S, answers)
-        self._received += [received for received in found if received.can_id != answer_id]
-        replies = [received for received in found if received.can_id == answer_id]
+        self._received += [received for received in found if received.can_id != self._answer_id]
+        replies = [received for received in found if received.can_id == self._answer_id]
         return replies[-1].data if replies else None
 
     def ask(self, what: str, request: str, *expected: str) -> bytes:
@@ -213,20 +213,18 @@ class DeviceUnderTest:
 
     def _expect_answer(self, what: str, answer: bytes, expected: Collection[str]) -> bool:
         ok = any(matches(pattern, answer.hex()) for pattern in expected)
-        answer_id = SDO_ANSWER + self.node_id
         texts = " or ".join(spaced(pattern) for pattern in expected)
         return self.check(
-            what, f"{answer_id:03X} {texts}", f"{answer_id:03X} {answer.hex(' ')}" if answer else _EMPTY, ok
+            what, f"{self._answer_id:03X} {texts}", f"{self._answer_id:03X} {answer.hex(' ')}" if answer else _EMPTY, ok
         )
 
     def segments(self, count: int) -> list[bytes]:
         """Frames of a block that come without a request each."""
-        answer_id = SDO_ANSWER + self.node_id
         found: list[bytes] = []
         while len(found) < count:
-            received = self.wire.listen(_ANSWER_S, lambda received: received.can_id == answer_id)
-            answers = [each.data for each in received if each.can_id == answer_id]
-            self._received += [each for each in received if each.can_id != answer_id]
+            received = self.wire.listen(_ANSWER_S, lambda received: received.can_id == self._answer_id)
+            answers = [each.data for each in received if each.can_id == self._answer_id]
+            self._received += [each for each in received if each.can_id != self._answer_id]
             if not answers:
                 break
             found += answers
