@@ -40,12 +40,6 @@ _RESTING: Final = (
 )
 
 
-def needs_drive(dut: DeviceUnderTest) -> None:
-    """Raises NotApplicableError for a device that is no drive of CiA 402."""
-    if not dut.eds.is_drive:
-        raise NotApplicableError("no drive of CiA 402: 6040h and 6041h are not in the EDS file")
-
-
 def statusword(dut: DeviceUnderTest) -> int:
     """6041h."""
     return dut.value(objects.STATUSWORD)
