@@ -58,7 +58,8 @@ def register(*modules: ModuleType) -> None:
 @cache
 def _arguments(name: str) -> type[BaseModel]:
     fields: dict[str, Any] = {}
-    for each in list(signature(ACTIONS[name], eval_str=True).parameters.values())[1:]:
+    taken = signature(ACTIONS[name], eval_str=True).parameters.values()
+    for each in [each for each in taken if each.kind is not Parameter.VAR_POSITIONAL][1:]:
         kind = each.annotation
         if isinstance(kind, EnumType):
             kind = Annotated[kind, BeforeValidator(lambda member, kind=kind: kind.__members__.get(member, member))]

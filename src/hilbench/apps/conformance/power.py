@@ -70,11 +70,12 @@ def wait(dut: DeviceUnderTest, condition: Callable[[], bool], duration_s: float 
     return dut.wire.now_s() - begun_s
 
 
-def expect_state(dut: DeviceUnderTest, what: str, *wanted: State, duration_s: float = STATE_S) -> bool:
+def expect_state(dut: DeviceUnderTest, what: str, wanted: State, *others: State, duration_s: float = STATE_S) -> bool:
     """Expect one of some states within a time."""
-    wait(dut, lambda: state(dut) in wanted, duration_s)
+    states = (wanted, *others)
+    wait(dut, lambda: state(dut) in states, duration_s)
     found = state(dut)
-    return dut.check(what, " or ".join(each.label for each in wanted), label(found), found in wanted)
+    return dut.check(what, " or ".join(each.label for each in states), label(found), found in states)
 
 
 def expect_stays(dut: DeviceUnderTest, what: str, wanted: State) -> bool:
