@@ -33,7 +33,7 @@ def test_a_bench_starts_without_the_libraries_of_recordings_and_of_its_check() -
         "canopen_tools.attach",
         "conformance.description",
         "conformance.examine",
-        "devices.serve",
+        "devices.drive",
         "doctor.drift",
         "gateway.session",
         "monitor.changes",

@@ -22,9 +22,9 @@ def runs(seed: int, days: int, *, stated: float = 0.004, repeat: float = 0.01) -
     return t, np.hypot(stated, repeat) * rng.standard_normal(len(t)), np.full(len(t), stated)
 
 
-def of(seed: int, days: int, course: object = lambda t: 0.0 * t, limits: tuple[float, ...] = ()) -> Trend:
+def of(seed: int, days: int, course: object = lambda t: 0.0 * t, limit: float | None = None) -> Trend:
     t, off, stated = runs(seed, days)
-    found = trend(t, 8.0 * (1.0 + course(t) + off), 8.0 * stated, limits=limits)  # type: ignore[operator]
+    found = trend(t, 8.0 * (1.0 + course(t) + off), 8.0 * stated, limit=limit)  # type: ignore[operator]
     assert found is not None
     return found
 
@@ -72,8 +72,9 @@ def test_a_single_run_that_is_off_is_no_trend() -> None:
 def test_when_a_limit_is_reached_is_in_its_interval() -> None:
     held = 0
     for seed in SEEDS:
-        found = of(seed, 14, lambda t: 0.01 * t, limits=(9.6, 7.0))
-        (ahead,) = found.reached  # nothing moves towards the other
+        ahead = of(seed, 14, lambda t: 0.01 * t, limit=9.6).reached
+        assert ahead is not None
+        assert of(seed, 14, lambda t: 0.01 * t, limit=7.0).reached is None  # nothing moves towards it
         last = runs(seed, 14)[0][-1]
         held += ahead.from_d <= 20.0 - last <= ahead.to_d
         assert ahead.from_d <= ahead.median_d <= ahead.to_d
@@ -112,7 +113,7 @@ def test_neither_unit_nor_offset_nor_sign_change_what_is_said(
 @given(st.lists(st.tuples(st.integers(0, 40), st.floats(-1e3, 1e3), st.floats(0.0, 10.0)), min_size=2, max_size=12))
 def test_whatever_the_runs_say_the_answer_is_finite(given: list[tuple[int, float, float]]) -> None:
     days, values, deviations = zip(*given, strict=True)
-    found = trend(days, values, deviations, limits=(2e3,), ahead_d=5.0)
+    found = trend(days, values, deviations, limit=2e3, ahead_d=5.0)
     if found is None:
         assert len(set(days)) == 1
         return

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from canopen import ObjectDictionary
 from hilbench.apps.canopen_tools.eds_match import eds_files, fitting, read_identity
 from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import SDO_TIMEOUT_S
@@ -17,6 +17,9 @@ from hilbench.canopen.master import Master
 from hilbench.canopen.master_guard import mastery
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.errors import BenchFaultError, UnusableInputError
+
+if TYPE_CHECKING:
+    from canopen import ObjectDictionary
 
 #: Node id of a bench of which there is no config.
 MASTER_ID = 127
@@ -70,6 +73,8 @@ class BusSession(ExitStack):
         if od is None and dcf is not None:
             od = load_eds(dcf, node_id)
         if od is None and may_be_unknown:
+            from canopen import ObjectDictionary
+
             od = ObjectDictionary()
         if od is None:
             raise UnusableInputError(

@@ -323,14 +323,12 @@ def _keys() -> Iterator[Callable[[float], str | None]]:
 
 
 def _print(by_hand: SetUpDrive, *, as_json: bool) -> None:
-    from dataclasses import asdict
-
     from hilbench.cia402.set_up import mode_name, usable
 
     status, modes = by_hand.drive.status(), usable(by_hand)
     if as_json:
         lacking = {mode_name(mode): list(missing) for mode, missing in modes.items()}
-        print_json({**asdict(status), "lacking": lacking})
+        print_json({**vars(status), "lacking": lacking})
         return
     print(f"{status.state}  (statusword {status.statusword:04X}h: {', '.join(status.flags) or 'no flags'})")
     of_drive = "-" if status.mode is None else str(status.mode)

@@ -52,12 +52,18 @@ def assign(
     Example: hilbench lss assign 5 --identity 2Ah:402h:10000h:7 --bit-rate 500 --bus socketcan:can0
     """
     from hilbench.apps.canopen_tools.attach import BusSession
+    from hilbench.can.open import open_python_can
+    from hilbench.canopen.sdo_client import SdoClient
 
     wanted = None if identity is None else _identity(identity)
     rate_index = None if bit_rate is None else _bit_rate_index(bit_rate)
     with BusSession(None, bus) as on:
         master = _master(on, timeout_s, f"lss assign {node_id}", force=force)
-        _refuse_if_there(on.bus, node_id)
+        with SdoClient(open_python_can(on.bus), 0.2) as reader:
+            if reader.read(node_id, 0x1000) is not None:
+                raise UnusableInputError(
+                    "NODE_ID", f"node {node_id} answers already on {on.bus}, expected an id not in use"
+                )
         wanted = wanted or _only_unconfigured(master, on.bus)
         master.select(wanted)
         before = master.node_id()
@@ -88,32 +94,12 @@ def show(bus: BusOption = None, timeout_s: TimeoutOption = 0.1, force: ForceOpti
     print(f"{words(found)}: {'no node id' if node_id is None else f'node {node_id}'}; --identity {shown(found)}")
 
 
-def unconfigured(address: BusAddress, timeout_s: float) -> list[Identity]:
-    """Devices on a bus that have no node id."""
-    from hilbench.can.open import open_python_can
-    from hilbench.canopen.lss_master import LssMaster
-
-    with LssMaster(open_python_can(address), timeout_s) as master:
-        return master.find_unconfigured()
-
-
 def _master(on: BusSession, timeout_s: float, what: str, *, force: bool) -> LssMaster:
     from hilbench.can.open import open_python_can
     from hilbench.canopen.lss_master import LssMaster
 
     on.be_only_master(what, force=force)
     return on.enter_context(LssMaster(open_python_can(on.bus), timeout_s))
-
-
-def _refuse_if_there(address: BusAddress, node_id: int) -> None:
-    from hilbench.can.open import open_python_can
-    from hilbench.canopen.sdo_client import SdoClient
-
-    with SdoClient(open_python_can(address), 0.2) as reader:
-        if reader.read(node_id, 0x1000) is not None:
-            raise UnusableInputError(
-                "NODE_ID", f"node {node_id} answers already on {address}, expected an id not in use"
-            )
 
 
 def _only_unconfigured(master: LssMaster, address: BusAddress) -> Identity:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
 from typer import Option
 
-from hilbench.apps.canopen_tools.lss import unconfigured, words
+from hilbench.apps.canopen_tools.lss import words
 from hilbench.apps.cli.options import BusOption, ConfigOption, JsonOption, print_json
+from hilbench.apps.cli.tables import table
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
 
 if TYPE_CHECKING:
@@ -46,7 +49,9 @@ def scan(
     from hilbench.apps.canopen_tools.bus_scan import scan as scan_bus
     from hilbench.apps.canopen_tools.eds_match import EdsFile, eds_files, identity
     from hilbench.apps.canopen_tools.interface import bitrate_of
+    from hilbench.can.open import open_python_can
     from hilbench.canopen.eds import load_eds
+    from hilbench.canopen.lss_master import LssMaster
     from hilbench.canopen.lss_master import shown as address_of
     from hilbench.canopen.master_guard import master_of
 
@@ -60,22 +65,22 @@ def scan(
         known = None if claimed_by is None else str(claimed_by)
         rate = bitrate_of(address)
         found = scan_bus(link, reader, files, listen, on.master_id, bitrate=rate, claimed_by=known, ask=ask)
-    nameless = unconfigured(address, _LSS_TIMEOUT_S) if lss and ask and found.master is None else []
+    nameless = []
+    if lss and ask and found.master is None:
+        with LssMaster(open_python_can(address), _LSS_TIMEOUT_S) as lss_master:
+            nameless = lss_master.find_unconfigured()
     problems = _problems(found, bench) if bench is not None else []
+    on_nodes = {} if bench is None else bench.parts_by_node
+    parts = {node_id: ", ".join(part.name for part in there) for node_id, there in on_nodes.items()}
     if json:
-        print_json(_as_data(found, bench, problems) | {"without_node_id": nameless})
+        print_json(_as_data(found, parts, problems) | {"without_node_id": nameless})
     else:
-        _show(found, bench, problems, str(address))
+        _show(found, parts, problems, str(address))
         for device in nameless:
             print(f"no node id: {words(device)}; hilbench lss assign NODE_ID --identity {address_of(device)}")
         if lss and not nameless and found.master is None:
             print("no device without a node id answers")
     raise typer.Exit(EXIT_CRITERION_FAILED if problems else EXIT_PASSED)
-
-
-def _parts(bench: ExperimentConfig | None) -> dict[int, str]:
-    on_nodes = {} if bench is None else bench.parts_by_node
-    return {node_id: ", ".join(part.name for part in there) for node_id, there in on_nodes.items()}
 
 
 def _problems(found: Scan, bench: ExperimentConfig) -> list[str]:
@@ -93,8 +98,7 @@ def _problems(found: Scan, bench: ExperimentConfig) -> list[str]:
     return problems
 
 
-def _as_data(found: Scan, bench: ExperimentConfig | None, problems: list[str]) -> dict[str, Any]:
-    parts = _parts(bench)
+def _as_data(found: Scan, parts: Mapping[int, str], problems: list[str]) -> dict[str, Any]:
     names = ("vendor_id", "product_code", "revision_number", "serial_number")
     stations = [
         {
@@ -107,12 +111,8 @@ def _as_data(found: Scan, bench: ExperimentConfig | None, problems: list[str]) -
     return {**vars(found), "stations": stations, "master_at_work": found.master is not None, "problems": problems}
 
 
-def _show(found: Scan, bench: ExperimentConfig | None, problems: list[str], bus: str) -> None:
-    from rich.console import Console
-
-    from hilbench.apps.cli.tables import table
-
-    console, parts = Console(highlight=False), _parts(bench)
+def _show(found: Scan, parts: Mapping[int, str], problems: list[str], bus: str) -> None:
+    console = Console(highlight=False)
     rows = [
         (
             f"{station.node_id} {parts.get(station.node_id, '')}".rstrip(),

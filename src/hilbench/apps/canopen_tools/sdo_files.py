@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
 from typer import Argument, Option
 
 from hilbench.apps.cli.options import (
@@ -22,6 +23,7 @@ from hilbench.apps.cli.options import (
     TimeoutOption,
     print_json,
 )
+from hilbench.apps.cli.tables import table
 from hilbench.errors import EXIT_CRITERION_FAILED, BenchFaultError, UnusableInputError
 
 if TYPE_CHECKING:
@@ -195,7 +197,6 @@ def _read(master: Master, node_id: int, od: ObjectDictionary) -> Configuration:
 @contextmanager
 def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
     """A bar on the terminal, where there is one."""
-    from rich.console import Console
     from rich.progress import Progress
 
     console = Console(stderr=True)
@@ -205,10 +206,6 @@ def _progress(what: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def _show(found: Sequence[Difference], first: str, second: str) -> None:
-    from rich.console import Console
-
-    from hilbench.apps.cli.tables import table
-
     console = Console(highlight=False)
     if not found:
         console.print(f"{first} and {second} have the same settings", markup=False)

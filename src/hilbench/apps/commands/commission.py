@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
+from rich.console import Console
+from rich.table import Table
 from typer import Option
 
 from hilbench.apps.cli.config_file import load_config
@@ -19,11 +21,10 @@ from hilbench.apps.cli.options import (
     SetOption,
     print_json,
 )
+from hilbench.apps.cli.tables import table
 from hilbench.errors import EXIT_INTERRUPTED, UnusableInputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from hilbench.diagnosis.commissioning import Commissioned
 
 #: Columns that the table needs; a narrower terminal wraps whole lines.
@@ -74,8 +75,6 @@ def commission(
 
     Example: hilbench commission CONFIG --set stand=pilot_line --forward-only --modulus-known 1
     """
-    from rich.console import Console
-
     from hilbench.apps.cli.progress import ProgressDisplay
     from hilbench.apps.history.entries import keep_commissioning
     from hilbench.bench.lifecycle.participants import Participants
@@ -129,7 +128,6 @@ def commission(
 
 
 def _table(found: list[Commissioned]) -> Table:
-    from hilbench.apps.cli.tables import table
     from hilbench.diagnosis.commissioning import MEASURED
 
     rows = []

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from hilbench.apps.commands.new_bench import SERVO_AXIS, NewBench, Place, Suggested
+from hilbench.apps.commands.new_bench import SERVO_AXIS, Place, Question
 from hilbench.apps.commands.new_web_line import WEB_LINE
 from hilbench.errors import UnusableInputError
 from hilbench.files import write_whole
@@ -22,9 +22,6 @@ app = typer.Typer(help="Help with config files: JSON Schema for editors, a new c
 
 #: Defaults without a question, by kind of machine.
 _GIVEN = Path(__file__).with_name("new_benches")
-#: A question, the place of its answer, what is suggested.
-Question = tuple[str, Place, Suggested]
-
 #: Questions for every bench: text, place in the config, what is suggested.
 _QUESTIONS: tuple[Question, ...] = (
     ("name of the bench", ("name",), "my_bench"),
@@ -33,7 +30,11 @@ _QUESTIONS: tuple[Question, ...] = (
     ("pace (lockstep: reproducible; realtime: by the wall clock)", ("pace",), "lockstep"),
     ("cycle time in s", ("cycle_time_s",), 0.002),
 )
-_OF_KIND: Mapping[MachineKind, NewBench] = {MachineKind.WEB_LINE: WEB_LINE, MachineKind.SERVO_AXIS: SERVO_AXIS}
+#: Further ones by kind of machine, and the EDS file of the twin's virtual I/O.
+_OF_KIND: Mapping[MachineKind, tuple[Sequence[Question], str]] = {
+    MachineKind.WEB_LINE: (WEB_LINE, "hilbench_virtual_io.eds"),
+    MachineKind.SERVO_AXIS: (SERVO_AXIS, "hilbench_virtual_io_servo_axis.eds"),
+}
 
 
 @app.command()
@@ -84,14 +85,14 @@ def new(
         raise UnusableInputError(path, "is there already, expected a new file")
     if not path.absolute().parent.is_dir():
         raise UnusableInputError(path, f"no folder {path.parent}, expected one to write into")
-    new_bench = _OF_KIND[kind]
+    of_kind, virtual_io = _OF_KIND[kind]
     given = strict_yaml.load(_GIVEN / f"{kind}.yaml").data
-    document = _with_eds(strict_yaml.Document(path, given, {(): str(path)}), new_bench, eds)
-    questions, answered = (*_QUESTIONS, *new_bench.questions), set[Place]()
-    document = _with_suggestions(document, new_bench, questions, answered)
+    document = _with_eds(strict_yaml.Document(path, given, {(): str(path)}), virtual_io, eds)
+    questions, answered = (*_QUESTIONS, *of_kind), set[Place]()
+    document = _with_suggestions(document, questions, answered)
     while True:
         if not defaults:
-            document = _asked(document, new_bench, questions, answered)
+            document = _asked(document, questions, answered)
         config = strict_yaml.validate(document, ExperimentConfig)
         try:
             check_bench(config, document)
@@ -104,13 +105,11 @@ def new(
     print(f"{path}: usable; run it with: hilbench run {path}")
 
 
-def _with_eds(document: Document, new_bench: NewBench, eds: Path | None) -> Document:
+def _with_eds(document: Document, virtual_io: str, eds: Path | None) -> Document:
     """The document with the EDS files of its nodes, of the folder that was given."""
     from hilbench.runs.examples import EDS, copy_eds
 
-    files = {
-        place: new_bench.virtual_io if place[0] == "twin" else "hilbench_servo.eds" for place in _nodes(document.data)
-    }
+    files = {place: virtual_io if place[0] == "twin" else "hilbench_servo.eds" for place in _nodes(document.data)}
     if eds is None:
         eds = Path(EDS)
         copy_eds(sorted(set(files.values())), Path())
@@ -130,36 +129,33 @@ def _nodes(data: Mapping[str, Any], at: Place = ()) -> Iterator[Place]:
             yield from _nodes(below, (*at, key))
 
 
-def _with_suggestions(
-    document: Document, new_bench: NewBench, questions: Sequence[Question], answered: set[Place]
-) -> Document:
-    """The document with what is suggested wherever nobody has answered, one after the other, and what follows."""
+def _with_suggestions(document: Document, questions: Sequence[Question], answered: set[Place]) -> Document:
+    """The document with what is suggested wherever nobody has answered, one after the other."""
     for question, location, suggested in questions:
         if location not in answered:
             value = suggested(document.value) if callable(suggested) else suggested
-            document = document.with_value(location, value, question)
-    for location, following in new_bench.follows.items():
-        document = document.with_value(location, following(document.value), str(document.path))
+            document = document.with_value(location, value, question or str(document.path))
     return document
 
 
-def _asked(document: Document, new_bench: NewBench, questions: Sequence[Question], answered: set[Place]) -> Document:
+def _asked(document: Document, questions: Sequence[Question], answered: set[Place]) -> Document:
     """The document with an answer to every question, each added to `answered`; what it has already is suggested."""
     from hilbench import strict_yaml
     from hilbench.runs.config import ExperimentConfig
 
     for question, location, _ in questions:
-        while True:
+        while question:
             suggested = document.value(location)
             value = _answer(question, suggested, type(suggested))
             tried = document.with_value(location, value, question)
             try:
                 strict_yaml.validate(tried, ExperimentConfig)
-                break
             except UnusableInputError as error:
                 typer.echo(str(error), err=True)
-        answered.add(location)
-        document = _with_suggestions(tried, new_bench, questions, answered)
+                continue
+            answered.add(location)
+            document = _with_suggestions(tried, questions, answered)
+            break
     return document
 
 

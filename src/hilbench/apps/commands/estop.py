@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -53,45 +52,27 @@ class Target:
         return bus
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of an emergency stop; `problem`: why it cannot be relied on."""
-
-    target: Target
-    problem: str = ""
-
-    @property
-    def text(self) -> str:
-        """Text for a person."""
-        place, who = self.target.place, self.target.who
-        there = f" ({who})" if who else ""
-        return f"{self.problem}{there}" if self.problem else f"{place}: emergency stop sent{there}"
-
-
 def estop_command(names: list[str] | None) -> int:
-    """Stop each bus, all at once, whether or not another fails; returns the exit code."""
+    """Stop each bus, all at once, whether or not another fails; returns the exit code.
+
+    A failure counts on a bus that was named, or on which somebody is known; and when nothing was reached at all. An
+    interface that is up and takes no frame, because nobody is on its bus, is said, and is none.
+    """
     if names:
         targets, complete = [Target(str(BusAddress.parse(name))) for name in names], True
     else:
         targets, complete = everything()
     with ThreadPoolExecutor(len(targets)) as pool:
-        outcomes = list(pool.map(_stop, targets))
-    for outcome in outcomes:
-        if outcome.problem:
-            print(f"hilbench: {outcome.text}", file=sys.stderr)
+        outcomes = list(zip(targets, pool.map(_stop, targets), strict=True))
+    for target, problem in outcomes:
+        there = f" ({target.who})" if target.who else ""
+        if problem:
+            print(f"hilbench: {problem}{there}", file=sys.stderr)
         else:
-            print(outcome.text)
-    return exit_code(outcomes, all_count=bool(names)) if complete else EXIT_BENCH_FAULT
-
-
-def exit_code(outcomes: Sequence[Outcome], *, all_count: bool) -> int:
-    """A failure counts on a bus that was named, or on which somebody is known; and when nothing was reached at all.
-
-    An interface that is up and takes no frame, because nobody is on its bus, is said, and is none.
-    """
-    failed = [outcome for outcome in outcomes if outcome.problem]
-    counts = any(all_count or outcome.target.known for outcome in failed) or len(failed) == len(outcomes)
-    return EXIT_BENCH_FAULT if counts else EXIT_PASSED
+            print(f"{target.place}: emergency stop sent{there}")
+    failed = [target for target, problem in outcomes if problem]
+    counts = any(names or target.known for target in failed) or len(failed) == len(outcomes)
+    return EXIT_BENCH_FAULT if counts or not complete else EXIT_PASSED
 
 
 def everything() -> tuple[list[Target], bool]:
@@ -102,7 +83,12 @@ def everything() -> tuple[list[Target], bool]:
     """
     found: dict[str, list[Holder]] = {}
     others = set()
-    known, complete = _holders_and_bus()
+    known, complete = list[Holder](), True
+    try:
+        known = claims.holders(_ANSWERS_WITHIN_S)
+    except BusError as error:
+        print(f"hilbench: NOT ALL BENCHES ARE KNOWN: {error}", file=sys.stderr)
+        complete = False
     for claimed in known:
         # An embedded bus is its user's and root's; a CAN interface is everybody's, and so is who does not say.
         if not claimed.place.startswith("embedded:") or claimed.uid < 0 or os.getuid() in (claimed.uid, 0):
@@ -124,16 +110,8 @@ def everything() -> tuple[list[Target], bool]:
     return [Target(place, tuple(there)) for place, there in found.items()], complete
 
 
-def _holders_and_bus() -> tuple[list[Holder], bool]:
-    """Holders of all buses, and True; where they cannot be read, none and False."""
-    try:
-        return claims.holders(_ANSWERS_WITHIN_S), True
-    except BusError as error:
-        print(f"hilbench: NOT ALL BENCHES ARE KNOWN: {error}", file=sys.stderr)
-        return [], False
-
-
-def _stop(target: Target) -> Outcome:
+def _stop(target: Target) -> str:
+    """Why its emergency stop cannot be relied on; empty: it can."""
     try:
         link = open_link(target.address())
         try:
@@ -143,11 +121,10 @@ def _stop(target: Target) -> Outcome:
         finally:
             link.close()
     except (HilbenchError, OSError) as error:
-        return Outcome(target, f"NOT STOPPED: {error}")
+        return f"NOT STOPPED: {error}"
     if moving:
-        nodes = ", ".join(str(node) for node in moving)
-        return Outcome(target, f"{target.place}: emergency stop sent, node {nodes} still OPERATIONAL")
-    return Outcome(target)
+        return f"{target.place}: emergency stop sent, node {', '.join(map(str, moving))} still OPERATIONAL"
+    return ""
 
 
 def _still_operational(link: Link) -> list[int]:

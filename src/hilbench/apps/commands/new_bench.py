@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from typing import Any, Final
 
 #: A key of the config, from its root.
@@ -16,13 +15,8 @@ Suggested = Any | Callable[[Answers], float]
 DRIVES: Final = ("machine", "drives")
 
 
-@dataclass(frozen=True)
-class NewBench:
-    """A machine of one kind: simulated drives, and a first experiment that can be run."""
-
-    questions: tuple[tuple[str, Place, Suggested], ...]  #: question, place of the answer, what is suggested
-    follows: Mapping[Place, Callable[[Answers], float]] = field(default_factory=dict)  #: from the answers, unasked
-    virtual_io: str = "hilbench_virtual_io.eds"  #: EDS file of the twin's virtual I/O
+#: A question, the place of its answer, what is suggested; without a question that is taken unasked.
+Question = tuple[str, Place, Suggested]
 
 
 def rounded(value: float) -> float:
@@ -43,29 +37,24 @@ def _scaled(of_example: float, answers: Answers) -> float:
     return rounded(of_example * (answers(_TURNED) + answers(_ROTOR)) / (_J_TURNED + _J_ROTOR))
 
 
-SERVO_AXIS: Final = NewBench(
-    questions=(
-        ("inertia that the motor turns in kg·m²", _TURNED, _J_TURNED),
-        ("dry friction in N·m", _FRICTION, 0.2),
-        ("viscous friction in N·m·s", ("machine", "shaft", "viscous_friction_Nm_s_per_rad"), 0.004),
-        ("inertia of the motor's rotor in kg·m²", _ROTOR, _J_ROTOR),
-        ("torque limit of a motor in N·m", (*DRIVES, "torque_limit_Nm"), lambda answers: _scaled(9.0, answers)),
-        (
-            "inertia of the flywheel on the stand in kg·m²",
-            ("hardware", "shaft", "inertia_kg_m2"),
-            lambda answers: rounded(0.0385 / _J_TURNED * answers(_TURNED)),
-        ),
-        (
-            "dry friction on the stand in N·m",
-            ("hardware", "shaft", "coulomb_friction_Nm"),
-            lambda answers: rounded(0.25 * answers(_FRICTION)),
-        ),
-        ("speed in rad/s", ("steps", 0, "ramp", "to"), 20.0),
-        ("largest error of the inertia at the end in %", ("criteria", 0, "max"), 2.0),
+SERVO_AXIS: Final[tuple[Question, ...]] = (
+    ("inertia that the motor turns in kg·m²", _TURNED, _J_TURNED),
+    ("dry friction in N·m", _FRICTION, 0.2),
+    ("viscous friction in N·m·s", ("machine", "shaft", "viscous_friction_Nm_s_per_rad"), 0.004),
+    ("inertia of the motor's rotor in kg·m²", _ROTOR, _J_ROTOR),
+    ("torque limit of a motor in N·m", (*DRIVES, "torque_limit_Nm"), lambda answers: _scaled(9.0, answers)),
+    (
+        "inertia of the flywheel on the stand in kg·m²",
+        ("hardware", "shaft", "inertia_kg_m2"),
+        lambda answers: rounded(0.0385 / _J_TURNED * answers(_TURNED)),
     ),
-    follows={
-        (*DRIVES, "velocity_kp_Nm_s_per_rad"): lambda answers: _scaled(1.5, answers),
-        (*DRIVES, "velocity_ki_Nm_per_rad"): lambda answers: _scaled(30.0, answers),
-    },
-    virtual_io="hilbench_virtual_io_servo_axis.eds",
+    (
+        "dry friction on the stand in N·m",
+        ("hardware", "shaft", "coulomb_friction_Nm"),
+        lambda answers: rounded(0.25 * answers(_FRICTION)),
+    ),
+    ("speed in rad/s", ("steps", 0, "ramp", "to"), 20.0),
+    ("largest error of the inertia at the end in %", ("criteria", 0, "max"), 2.0),
+    ("", (*DRIVES, "velocity_kp_Nm_s_per_rad"), lambda answers: _scaled(1.5, answers)),
+    ("", (*DRIVES, "velocity_ki_Nm_per_rad"), lambda answers: _scaled(30.0, answers)),
 )

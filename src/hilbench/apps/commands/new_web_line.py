@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from hilbench.apps.commands.new_bench import DRIVES, Answers, NewBench, rounded
+from hilbench.apps.commands.new_bench import DRIVES, Answers, Question, rounded
 
 _ROLLERS, _BOUNDARY = ("machine", "rollers"), ("machine", "boundary")
 _WIDTH: Final = ("machine", "web", "width_m")
@@ -57,30 +57,26 @@ def _gain(of_demonstrator: float, answers: Answers) -> float:
     return rounded(of_demonstrator * _inertia_at_motor(answers) / _at_motor(_J, _i, _J_motor))
 
 
-WEB_LINE: Final = NewBench(
-    questions=(
-        ("Young's modulus of the web in Pa", ("machine", "web", "youngs_modulus_Pa"), 8.7e9),
-        ("width of the web in m", _WIDTH, _b),
-        ("thickness of the web in m", ("machine", "web", "thickness_m"), 65e-6),
-        ("length of the span in m", ("machine", "web", "span_length_m"), 1.0),
-        ("line speed in m/s", _SPEED, _v),
-        ("set-point of the web tension in N", _TENSION, _F),
-        ("radius of the rollers in m", _RADIUS, _r),
-        ("inertia of a roller in kg·m²", _INERTIA, _roller_inertia),
-        ("gear ratio, motor to roller", _GEAR, _gear_ratio),
-        ("inertia of a motor in kg·m²", _MOTOR_INERTIA, _J_motor),
-        ("torque limit of a motor in N·m", (*DRIVES, "torque_limit_Nm"), _torque_limit),
-        ("web tension upstream in N", (*_BOUNDARY, "upstream_tension_N"), lambda answers: answers(_TENSION)),
-        (
-            "web tension downstream in N",
-            (*_BOUNDARY, "downstream_tension_N"),
-            lambda answers: 0.875 * answers(_TENSION),
-        ),
-        ("largest error of E at the end in %", ("criteria", 0, "max"), 2.0),
-        ("largest error of the true tension at the end in N", ("criteria", 1, "max"), 2.0),
+WEB_LINE: Final[tuple[Question, ...]] = (
+    ("Young's modulus of the web in Pa", ("machine", "web", "youngs_modulus_Pa"), 8.7e9),
+    ("width of the web in m", _WIDTH, _b),
+    ("thickness of the web in m", ("machine", "web", "thickness_m"), 65e-6),
+    ("length of the span in m", ("machine", "web", "span_length_m"), 1.0),
+    ("line speed in m/s", _SPEED, _v),
+    ("set-point of the web tension in N", _TENSION, _F),
+    ("radius of the rollers in m", _RADIUS, _r),
+    ("inertia of a roller in kg·m²", _INERTIA, _roller_inertia),
+    ("gear ratio, motor to roller", _GEAR, _gear_ratio),
+    ("inertia of a motor in kg·m²", _MOTOR_INERTIA, _J_motor),
+    ("torque limit of a motor in N·m", (*DRIVES, "torque_limit_Nm"), _torque_limit),
+    ("web tension upstream in N", (*_BOUNDARY, "upstream_tension_N"), lambda answers: answers(_TENSION)),
+    (
+        "web tension downstream in N",
+        (*_BOUNDARY, "downstream_tension_N"),
+        lambda answers: 0.875 * answers(_TENSION),
     ),
-    follows={
-        (*DRIVES, "velocity_kp_Nm_s_per_rad"): lambda answers: _gain(_KP, answers),
-        (*DRIVES, "velocity_ki_Nm_per_rad"): lambda answers: _gain(_KI, answers),
-    },
+    ("largest error of E at the end in %", ("criteria", 0, "max"), 2.0),
+    ("largest error of the true tension at the end in N", ("criteria", 1, "max"), 2.0),
+    ("", (*DRIVES, "velocity_kp_Nm_s_per_rad"), lambda answers: _gain(_KP, answers)),
+    ("", (*DRIVES, "velocity_ki_Nm_per_rad"), lambda answers: _gain(_KI, answers)),
 )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -26,7 +26,6 @@ from hilbench.results.commissioned import commissioned_text
 from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, Streamed, run_experiment
 from hilbench.runs.config import LoadedConfig
-from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.machines.web_line import shape_of_figures
 from hilbench.runs.metrics import kind_of_figures
 from hilbench.topology.config import BenchConfig
@@ -52,7 +51,13 @@ def run_command(
     """Run the experiment, show it, and return the exit code; `stream`: where its samples go while it runs; `beside`:
     copies of this process for those that run beside the bench; `require_criteria`: a run that nothing judges fails."""
     console = Console(highlight=False, quiet=as_json)
-    with _streams(stream, loaded.config) as streams:
+    with ExitStack() as entered:
+        streams: Sequence[Streamed] = []
+        if stream:  # most runs need not load what streams do
+            from hilbench.apps.streams.sinks import parse_target
+            from hilbench.apps.streams.stream import streams_to
+
+            streams = entered.enter_context(streams_to([parse_target(each) for each in stream], loaded.config))
         alone = participants is Participants.IN_PROCESS
         where = "in this process, on no bus: no monitor receives it" if alone else loaded.config.bus.address
         console.print(f"[bold]{loaded.config.name}[/bold]  {where}; {loaded.config.pace}")
@@ -83,19 +88,6 @@ def run_command(
     if as_json:
         print(outcome.as_json())
     return outcome.exit_code
-
-
-@contextmanager
-def _streams(targets: Sequence[str], config: BenchConfig) -> Iterator[Sequence[Streamed]]:
-    """None without a target: most runs need not load what streams do."""
-    if not targets:
-        yield []
-        return
-    from hilbench.apps.streams.sinks import parse_target
-    from hilbench.apps.streams.stream import streams_to
-
-    with streams_to([parse_target(each) for each in targets], config) as streams:
-        yield streams
 
 
 def _write_report(outcome: RunOutcome) -> None:
@@ -184,8 +176,7 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
     _show_criteria(console, result)
     if result.steps and len(result.steps) > 1:
         console.print(_steps_table(result.steps))
-    timing = result.timing
-    console.print(_timing_line(timing))
+    console.print(_timing_line(result.timing))
     for warning in result.all_warnings():
         console.print(f"[yellow]warning[/yellow] {warning}", soft_wrap=True)
     for fault in result.faults:
@@ -206,7 +197,12 @@ def _show_criteria(console: Console, result: Result) -> None:
     left_out = [row for row in result.criteria if result.faults and row.value is None and not row.never]
     rows = [row for row in result.criteria if row not in left_out]
     if rows:
-        console.print(_criteria_table(rows))
+        cells = [
+            (row.name, "-" if row.value is None else f"{row.value:.6g}", str(row.limit), row.unit, _marked(row.verdict))
+            for row in rows
+        ]
+        columns = ("criterion", ">value", "limit", "unit", "")
+        console.print(table(columns, cells, framed=True, title="Criteria"))
     for row in rows:
         if row.reason:
             console.print(f"{_marked(row.verdict)} {escape(row.name)}: {escape(row.reason)}", soft_wrap=True)
@@ -258,14 +254,6 @@ def _timing_line(timing: Timing) -> str:
         late = ", ".join(f"{each.share_pct:.1f} % of {name}" for name, each in timing.late.items())
         parts.append(f"late samples: {late}")
     return ", ".join(parts)
-
-
-def _criteria_table(rows: Sequence[CriterionResult]) -> Table:
-    cells = [
-        (row.name, "-" if row.value is None else f"{row.value:.6g}", str(row.limit), row.unit, _marked(row.verdict))
-        for row in rows
-    ]
-    return table(("criterion", ">value", "limit", "unit", ""), cells, framed=True, title="Criteria")
 
 
 def _marked(verdict: str) -> str:

@@ -8,12 +8,12 @@ several by their names.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from enum import EnumType
 from functools import cache
 from inspect import Parameter, isfunction, signature
 from types import ModuleType
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, get_origin
 
 from pydantic import BaseModel, BeforeValidator, create_model
 
@@ -58,14 +58,14 @@ def register(*modules: ModuleType) -> None:
 @cache
 def _arguments(name: str) -> type[BaseModel]:
     fields: dict[str, Any] = {}
-    for each in list(signature(ACTIONS[name], eval_str=True).parameters.values())[1:]:
+    taken = signature(ACTIONS[name], eval_str=True).parameters.values()
+    for each in [each for each in taken if each.kind is not Parameter.VAR_POSITIONAL][1:]:
         kind = each.annotation
         if isinstance(kind, EnumType):
             kind = Annotated[kind, BeforeValidator(lambda member, kind=kind: kind.__members__.get(member, member))]
-        several = each.kind is Parameter.VAR_POSITIONAL
-        default = () if several else ... if each.default is Parameter.empty else each.default
-        listed = BeforeValidator(lambda given: given if isinstance(given, list) else [given])
-        fields[each.name] = (Annotated[list[kind], listed] if several else kind, default)  # type: ignore[valid-type]
+        elif get_origin(kind) is Sequence:
+            kind = Annotated[kind, BeforeValidator(lambda given: given if isinstance(given, list) else [given])]
+        fields[each.name] = (kind, ... if each.default is Parameter.empty else each.default)
     return create_model(name, __base__=Strict, **fields)
 
 
@@ -78,16 +78,8 @@ def _bound(given: object) -> Callable[[object], object]:
     known = model.model_fields
     if not isinstance(value, dict) or not known.keys() >= value.keys():
         value = {next(iter(known), name): value}
-    found = model.model_validate(value)
-    positional: list[Any] = []
-    keywords: dict[str, Any] = {}
-    for each in list(signature(ACTIONS[name]).parameters.values())[1:]:
-        argument = getattr(found, each.name)
-        if each.kind is Parameter.KEYWORD_ONLY:
-            keywords[each.name] = argument
-        else:
-            positional += argument if each.kind is Parameter.VAR_POSITIONAL else [argument]
-    return lambda dut: ACTIONS[name](dut, *positional, **keywords)
+    arguments = vars(model.model_validate(value))
+    return lambda dut: ACTIONS[name](dut, **arguments)
 
 
 #: An action with its arguments.

@@ -6,18 +6,16 @@ import sys
 from contextlib import closing
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.markup import escape
 from typer import Option
 
 from hilbench.apps.cli.options import ForceOption, JsonOption, print_json
+from hilbench.apps.conformance.record import CaseResult, Examination, Verdict, counted, counts
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, UnusableInputError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from hilbench.apps.conformance.record import CaseResult, Examination
 
 _FAILED_STEPS_SHOWN = 5
 
@@ -54,14 +52,11 @@ def conformance(
 
     Example: hilbench conformance --bus embedded --node 1 --eds eds/hilbench_servo.eds --only SDO --junit verdicts.xml
     """
-    from rich.console import Console
-
     from hilbench.apps.canopen_tools.attach import BusSession
     from hilbench.apps.conformance.description import Description
     from hilbench.apps.conformance.dut import DeviceUnderTest
     from hilbench.apps.conformance.examine import AFTERWARDS, examine
     from hilbench.apps.conformance.listing import listed_cases
-    from hilbench.apps.conformance.record import Examination
     from hilbench.apps.conformance.reports import write_junit
     from hilbench.apps.conformance.wire import Wire
     from hilbench.processes import end_requests
@@ -96,7 +91,7 @@ def conformance(
 
         write_conformance_page(examination, html)
     if json:
-        print_json({**vars(examination), "counts": examination.counts})
+        print_json({**vars(examination), "counts": counts(cases)})
     else:
         _sum_up(console, examination, [path for path in (junit, html) if path is not None])
     raise typer.Exit(EXIT_CRITERION_FAILED if examination.failed else EXIT_PASSED)
@@ -104,14 +99,9 @@ def conformance(
 
 def _show_group(console: Console, cases: list[CaseResult], width: int) -> None:
     """A line a group as it ends, and below it what failed."""
-    from rich.markup import escape
-
-    from hilbench.apps.conformance.reports import counted
-
     failed = [case for case in cases if case.verdict == "failed"]
     colour = "red" if failed else "green"
-    counts = counted(case.verdict for case in cases)
-    console.print(f"[{colour}]{cases[0].group:<{width}}[/]  {counts}", soft_wrap=True)
+    console.print(f"[{colour}]{cases[0].group:<{width}}[/]  {counted(cases)}", soft_wrap=True)
     for case in failed:
         console.print(f"  [red]{escape(case.name)}[/] {escape(case.title)} ({escape(case.clause)})", soft_wrap=True)
         wrong = [step for step in case.steps if not step.ok]
@@ -128,14 +118,9 @@ def _show_name(name: str) -> None:
 
 
 def _sum_up(console: Console, examination: Examination, written: list[Path]) -> None:
-    from rich.markup import escape
-
-    from hilbench.apps.conformance.record import Verdict
-    from hilbench.apps.conformance.reports import counted
-
     verdict = "[red]failed[/]" if examination.failed else "[green]passed[/]"
-    counts = counted(case.verdict for case in examination.cases)
-    console.print(f"{verdict}  {escape(examination.device)}, node {examination.node_id}: {counts}", soft_wrap=True)
+    place = f"{escape(examination.device)}, node {examination.node_id}"
+    console.print(f"{verdict}  {place}: {counted(examination.cases)}", soft_wrap=True)
     refused = {case.reason.rpartition(": ")[2] for case in examination.cases if case.verdict is Verdict.NOT_ALLOWED}
     if refused:
         console.print(f"more with {' and '.join(sorted(refused))}", soft_wrap=True)

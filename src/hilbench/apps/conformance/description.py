@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
-from hilbench.canopen.data_types import data_type
+from hilbench.canopen.data_types import DataType, data_type
 from hilbench.canopen.eds import all_variables, load_eds, object_flags
 from hilbench.cia402.axis import axes, object_of
 
@@ -59,13 +59,18 @@ class Entry:
         return self.access in ("ro", "const")
 
     @property
+    def kind(self) -> DataType:
+        """Data type."""
+        return data_type(self.variable.data_type or 0)
+
+    @property
     def width(self) -> int | None:
         """Bytes of its SDO data; None: as many as there are."""
-        return data_type(self.variable.data_type or 0).width
+        return self.kind.width
 
     @property
     def is_integer(self) -> bool:
-        return data_type(self.variable.data_type or 0).is_integer
+        return self.kind.is_integer
 
     @property
     def default(self) -> bytes | None:
@@ -73,14 +78,25 @@ class Entry:
         its data type can't have (letters beyond ASCII in a VISIBLE_STRING)."""
         value = self.variable.default if self.variable.value is None else self.variable.value
         try:
-            return None if value is None else data_type(self.variable.data_type or 0).encode(value)
+            return None if value is None else self.kind.encode(value)
         except ValueError:
             return None
+
+    def beyond(self, limit: Literal["min", "max"]) -> int | None:
+        """The first integer beyond a limit of the file; None where it has none, or where the data type ends there."""
+        at = getattr(self.variable, limit)
+        value = None if at is None else int(at) + (1 if limit == "max" else -1)
+        try:
+            if value is not None:
+                self.kind.encode(value)
+        except ValueError:
+            return None
+        return value
 
     @property
     def mapping(self) -> int:
         """Entry of the object in a PDO mapping."""
-        bits = data_type(self.variable.data_type or 0).pdo_bits or 0
+        bits = self.kind.pdo_bits or 0
         return self.index << 16 | self.sub << 8 | bits
 
     def __str__(self) -> str:

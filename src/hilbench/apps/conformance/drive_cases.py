@@ -113,7 +113,7 @@ def _quick_stop_active(dut: DeviceUnderTest) -> None:
 
 def _needs_staying(dut: DeviceUnderTest) -> None:
     """605Ah so that the drive stays in QUICK STOP ACTIVE."""
-    dut.needs_to_write((objects.QUICK_STOP_OPTION_CODE, 0))
+    dut.needs_to_write([(objects.QUICK_STOP_OPTION_CODE, 0)])
     if not any(dut.offer(objects.QUICK_STOP_OPTION_CODE, code) == b"" for code in _STAYS):
         raise NotApplicableError("605Ah takes none of 5 to 8: the drive never stays in QUICK STOP ACTIVE")
 
@@ -194,8 +194,8 @@ def several_axes(dut: DeviceUnderTest) -> None:
 
 def _codes(dut: DeviceUnderTest, index: int, codes: range) -> Iterator[tuple[int, int]]:
     """Each code that the drive takes, the motor turning; and its speed. The drive is off after each."""
-    dut.needs_to_write((index, 0))
-    at = speed(dut)
+    dut.needs_to_write([(index, 0)])
+    velocity, _ = speed(dut)
     taken = 0
     for code in codes:
         answer = dut.offer(index, code)
@@ -203,10 +203,10 @@ def _codes(dut: DeviceUnderTest, index: int, codes: range) -> Iterator[tuple[int
             dut.notes.append(f"{index:04X}h = {code} is not taken ({taken_text(answer)})")
             continue
         taken += 1
-        turn(dut, at.velocity)
-        yield code, at.velocity
+        turn(dut, velocity)
+        yield code, velocity
         switch_off(dut)
-        time_to_rest(dut, at.velocity)
+        time_to_rest(dut, velocity)
     if not taken:
         raise NotApplicableError(f"{index:04X}h takes no code of the standard")
 
@@ -226,25 +226,17 @@ def _ramp(dut: DeviceUnderTest, what: str, velocity: int, ramp_s: float | None) 
 _RAMPS: Final = {1: SLOW_RAMP_S, 2: QUICK_RAMP_S, 5: SLOW_RAMP_S, 6: QUICK_RAMP_S}
 
 
-def quick_stop(dut: DeviceUnderTest) -> None:
-    """0 to 4 end in SWITCH ON DISABLED, 5 to 8 stay in QUICK STOP ACTIVE; 1 and 5 by 6084h, 2 and 6 by 6085h."""
-    for code, velocity in _codes(dut, objects.QUICK_STOP_OPTION_CODE, range(9)):
-        command(dut, Command.QUICK_STOP.value)
-        if code:
-            _ramp(dut, f"605Ah = {code}", velocity, _RAMPS.get(code))
-        expect_state(dut, f"605Ah = {code}", State.QUICK_STOP_ACTIVE if code >= 5 else State.SWITCH_ON_DISABLED)
-
-
-def disabling(dut: DeviceUnderTest, key: Key, asked: Command, after: State) -> None:
-    """0: power off at once; 1: down the ramp first."""
-    for code, velocity in _codes(dut, key[0], range(2)):
+def stopping(
+    dut: DeviceUnderTest, key: Key, asked: Command, codes: int, after: State, at_once_s: float = STATE_S
+) -> None:
+    """0: power off at once, within a time; others down a ramp first (1 and 5 by 6084h, 2 and 6 by 6085h), and those of
+    a quick stop from 5 on stay in QUICK STOP ACTIVE."""
+    for code, velocity in _codes(dut, key[0], range(codes)):
+        what, end = f"{key[0]:04X}h = {code}", State.QUICK_STOP_ACTIVE if code in _STAYS else after
         command(dut, asked.value)
-        what = f"{key[0]:04X}h = {code}"
         if code:
-            _ramp(dut, what, velocity, SLOW_RAMP_S)
-            expect_state(dut, what, after)
-        else:
-            expect_state(dut, what, after, duration_s=0.3)
+            _ramp(dut, what, velocity, _RAMPS.get(code))
+        expect_state(dut, what, end, duration_s=STATE_S if code else at_once_s)
 
 
 def halt(dut: DeviceUnderTest) -> None:
@@ -334,9 +326,9 @@ def profile_position(dut: DeviceUnderTest) -> None:
 
 def _motion(dut: DeviceUnderTest) -> tuple[int, int]:
     """Speed of a motion to a position, which is set, and position units of a turn."""
-    at = speed(dut)
-    write(dut, {(objects.PROFILE_VELOCITY, 0): at.velocity})
-    return at.velocity, round(2.0 * pi / at.units.position_rad)
+    velocity, known = speed(dut)
+    write(dut, {(objects.PROFILE_VELOCITY, 0): velocity})
+    return velocity, round(2.0 * pi / known.position_rad)
 
 
 def _begin(dut: DeviceUnderTest) -> None:
@@ -362,16 +354,16 @@ def _set_point(dut: DeviceUnderTest, target: int) -> None:
 
 def profile_velocity(dut: DeviceUnderTest) -> None:
     """Examine profile velocity: bit 10 at speed, bit 12 at rest."""
-    at = speed(dut)
-    turn(dut, at.velocity)
+    velocity, _ = speed(dut)
+    turn(dut, velocity)
     status_bit(dut, "at speed: target reached", STATUS_TARGET_REACHED, duration_s=2.0)
     status_bit(dut, "at speed: not at rest", STATUS_MODE_12, set_=False)
     dut.write(objects.TARGET_VELOCITY, 0, 0)
     status_bit(dut, "at rest: speed 0", STATUS_MODE_12, duration_s=5.0 * SLOW_RAMP_S)
-    dut.write(objects.TARGET_VELOCITY, 0, -at.velocity)
-    turned = wait(dut, lambda: actual_velocity(dut) <= -0.8 * at.velocity, 5.0 * SLOW_RAMP_S)
-    dut.check("backward", f"{-at.velocity} (606Ch)", str(actual_velocity(dut)), turned is not None)
-    _halt(dut, at.velocity)
+    dut.write(objects.TARGET_VELOCITY, 0, -velocity)
+    turned = wait(dut, lambda: actual_velocity(dut) <= -0.8 * velocity, 5.0 * SLOW_RAMP_S)
+    dut.check("backward", f"{-velocity} (606Ch)", str(actual_velocity(dut)), turned is not None)
+    _halt(dut, velocity)
     switch_off(dut)
 
 
@@ -418,16 +410,16 @@ def software_limits(dut: DeviceUnderTest) -> None:
 
 def velocity_limits(dut: DeviceUnderTest) -> None:
     """Half the speed is the limit."""
-    at = speed(dut)
+    velocity, _ = speed(dut)
     there = [i for i in (objects.MAX_PROFILE_VELOCITY, objects.MAX_MOTOR_SPEED) if dut.eds.can_write(i)]
     if not there:
         raise NotApplicableError("neither 607Fh nor 6080h can be written by the EDS file")
     for index in there:
         before = dut.value(index)
-        limit = at.velocity // 2
+        limit = velocity // 2
         dut.write(index, 0, limit if index == objects.MAX_PROFILE_VELOCITY else 30)
         enable(dut, OperationMode.PROFILE_VELOCITY)
-        answer = dut.offer(objects.TARGET_VELOCITY, at.velocity)
+        answer = dut.offer(objects.TARGET_VELOCITY, velocity)
         dut.wait(2.0 * SLOW_RAMP_S)
         found = abs(actual_velocity(dut))
         most = round(_TOLERATED * limit) + 1

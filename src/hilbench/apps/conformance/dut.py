@@ -13,7 +13,6 @@ from hilbench.apps.conformance.description import Description, Pdo
 from hilbench.apps.conformance.record import CaseEndedError, NotAllowedError, NotApplicableError, Step
 from hilbench.apps.conformance.wire import Wire
 from hilbench.can.frame import REMOTE_FLAG, Frame
-from hilbench.canopen.data_types import data_type
 from hilbench.canopen.identifiers import (
     COB_ID,
     EMERGENCY,
@@ -66,6 +65,7 @@ class DeviceUnderTest:
         self.eds = description
         self.motion, self.store = motion, store
         self._boot_s = boot_s
+        self._answer_id = SDO_ANSWER + node_id
         self.steps: list[Step] = []
         self.notes: list[str] = []
         #: Objects that were written, and whether all may be others since a reset.
@@ -88,15 +88,15 @@ class DeviceUnderTest:
         if not self.store:
             raise NotAllowedError("writes the device's memory (1010h, 1011h): --allow-store")
 
-    def needs(self, *keys: Key) -> None:
+    def needs(self, keys: Sequence[Key]) -> None:
         """Raises NotApplicableError when the EDS file lacks one of them."""
         for index, sub in keys:
             if not self.eds.has(index, sub):
                 raise NotApplicableError(f"{self.name(index, sub)} is not in the EDS file")
 
-    def needs_to_write(self, *keys: Key) -> None:
+    def needs_to_write(self, keys: Sequence[Key]) -> None:
         """Raises NotApplicableError when the EDS file lacks one of them, or has it read-only."""
-        self.needs(*keys)
+        self.needs(keys)
         for index, sub in keys:
             if not self.eds.can_write(index, sub):
                 raise NotApplicableError(
@@ -124,7 +124,7 @@ class DeviceUnderTest:
         """Frames since the last call, and in this time; answers to SDO requests left out."""
         found = [*self._received, *self.wire.listen(duration_s)]
         self._received = []
-        return [received for received in found if received.can_id != SDO_ANSWER + self.node_id]
+        return [received for received in found if received.can_id != self._answer_id]
 
     def receive_until(self, can_id: int, then_s: float) -> list[Frame]:
         """Frames up to one that is awaited as long as an answer, and for a time behind it."""
@@ -193,17 +193,16 @@ class DeviceUnderTest:
 
     def exchange(self, request: bytes) -> bytes | None:
         """The answer to an SDO request; None: there is none. An answer that is late is not taken for the next one's."""
-        answer_id = SDO_ANSWER + self.node_id
         names_object = request[0] >> 5 in _NAMES_OBJECT and len(request) == _SDO_BYTES
-        self._received += [received for received in self.wire.listen(0.0) if received.can_id != answer_id]
+        self._received += [received for received in self.wire.listen(0.0) if received.can_id != self._answer_id]
 
         def answers(received: Frame) -> bool:
-            return received.can_id == answer_id and (not names_object or received.data[1:4] == request[1:4])
+            return received.can_id == self._answer_id and (not names_object or received.data[1:4] == request[1:4])
 
         self.send(SDO_REQUEST + self.node_id, request)
         found = self.wire.listen(_ANSWER_S, answers)
-        self._received += [received for received in found if received.can_id != answer_id]
-        replies = [received for received in found if received.can_id == answer_id]
+        self._received += [received for received in found if received.can_id != self._answer_id]
+        replies = [received for received in found if received.can_id == self._answer_id]
         return replies[-1].data if replies else None
 
     def ask(self, what: str, request: str, *expected: str) -> bytes:
@@ -214,20 +213,18 @@ class DeviceUnderTest:
 
     def _expect_answer(self, what: str, answer: bytes, expected: Collection[str]) -> bool:
         ok = any(matches(pattern, answer.hex()) for pattern in expected)
-        answer_id = SDO_ANSWER + self.node_id
         texts = " or ".join(spaced(pattern) for pattern in expected)
         return self.check(
-            what, f"{answer_id:03X} {texts}", f"{answer_id:03X} {answer.hex(' ')}" if answer else _EMPTY, ok
+            what, f"{self._answer_id:03X} {texts}", f"{self._answer_id:03X} {answer.hex(' ')}" if answer else _EMPTY, ok
         )
 
     def segments(self, count: int) -> list[bytes]:
         """Frames of a block that come without a request each."""
-        answer_id = SDO_ANSWER + self.node_id
         found: list[bytes] = []
         while len(found) < count:
-            received = self.wire.listen(_ANSWER_S, lambda received: received.can_id == answer_id)
-            answers = [each.data for each in received if each.can_id == answer_id]
-            self._received += [each for each in received if each.can_id != answer_id]
+            received = self.wire.listen(_ANSWER_S, lambda received: received.can_id == self._answer_id)
+            answers = [each.data for each in received if each.can_id == self._answer_id]
+            self._received += [each for each in received if each.can_id != self._answer_id]
             if not answers:
                 break
             found += answers
@@ -263,9 +260,8 @@ class DeviceUnderTest:
 
     def signed(self, index: int, sub: int = 0) -> int:
         """Value decoded as its type in the EDS file."""
-        width = self.eds.entry(index, sub).width or 4
-        kind = data_type(self.eds.entry(index, sub).variable.data_type or 0)
-        return int(kind.decode(self.value(index, sub).to_bytes(width, "little")))
+        kind = self.eds.entry(index, sub).kind
+        return int(kind.decode(self.value(index, sub).to_bytes(kind.width or 4, "little")))
 
     def reads(self, what: str, index: int, sub: int, expected: int) -> bool:
         """Expect a number (unsigned) in an object."""
@@ -337,7 +333,7 @@ class DeviceUnderTest:
 
     def produce_heartbeats(self, period_ms: int = _HEARTBEAT_MS) -> None:
         """Set 1017h. Raises NotApplicableError for a device without."""
-        self.needs_to_write((0x1017, 0))
+        self.needs_to_write([(0x1017, 0)])
         self.write(0x1017, 0, period_ms)
 
     def shows(self, state: NmtState) -> bool:

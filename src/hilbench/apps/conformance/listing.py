@@ -23,7 +23,7 @@ from hilbench.apps.conformance import (
 )
 from hilbench.apps.conformance.actions import Action, register
 from hilbench.apps.conformance.dut import DeviceUnderTest
-from hilbench.apps.conformance.record import Case
+from hilbench.apps.conformance.record import Case, NotApplicableError
 from hilbench.block import Strict
 from hilbench.strict_yaml import load, validate
 
@@ -59,8 +59,8 @@ class ListedCase(Case):
 
     def examine(self, dut: DeviceUnderTest) -> None:
         """Examine a device by it. Raises NotApplicableError, NotAllowedError and CaseEndedError."""
-        if self.of_drives:
-            power.needs_drive(dut)
+        if self.of_drives and not dut.eds.is_drive:
+            raise NotApplicableError("no drive of CiA 402: 6040h and 6041h are not in the EDS file")
         for act in self.actions:
             act(dut)
 

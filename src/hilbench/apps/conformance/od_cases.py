@@ -10,7 +10,6 @@ from typing import Final, Literal
 from hilbench.apps.conformance.description import REFUSE_READ, REFUSE_WRITE, Entry
 from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text, taken_text
 from hilbench.apps.conformance.record import NotApplicableError, some
-from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import variable
 from hilbench.canopen.object_store import (
     GENERAL_ERROR,
@@ -187,22 +186,12 @@ def limits(dut: DeviceUnderTest) -> None:
     for entry in dut.eds.entries():
         if not entry.writable or not entry.is_integer or not _may_write_back(dut, entry, b"\0"):
             continue
-        for limit, step, code in ((entry.variable.min, -1, VALUE_TOO_LOW), (entry.variable.max, 1, VALUE_TOO_HIGH)):
-            if limit is None or not _is_of_type(entry, limit + step):
-                continue
-            examined += 1
-            data = dut.data_of(*entry.key, limit + step)
-            dut.refuses(f"{limit + step} to {entry}", *entry.key, data, code, INVALID_VALUE)
+        for value, code in ((entry.beyond("min"), VALUE_TOO_LOW), (entry.beyond("max"), VALUE_TOO_HIGH)):
+            if value is not None:
+                examined += 1
+                dut.refuses(f"{value} to {entry}", *entry.key, dut.data_of(*entry.key, value), code, INVALID_VALUE)
     if not examined:
         raise NotApplicableError("the EDS file has no limit that could be passed")
-
-
-def _is_of_type(entry: Entry, value: int) -> bool:
-    try:
-        data_type(entry.variable.data_type or 0).encode(value)
-    except ValueError:
-        return False
-    return True
 
 
 def write_back(dut: DeviceUnderTest) -> None:

@@ -51,7 +51,7 @@ def scan(dut: DeviceUnderTest, direction: _Direction) -> None:
     base = _BASES[direction]
     numbers = dut.eds.pdos(base)
     absent = next(number for number in range(513) if number not in numbers)
-    read_if_there(dut, "43", *((base + number, 1) for number in (*numbers, absent)))
+    read_if_there(dut, "43", [(base + number, 1) for number in (*numbers, absent)])
 
 
 # -- communication in an NMT state -----------------------------------------------------------------------------
@@ -119,7 +119,7 @@ def start_value(dut: DeviceUnderTest, state: NmtCommand) -> None:
     4 counts as the first that is received; whether the first or the second of each two is answered is not decided.
     """
     pdo = transmit_pdo(dut)
-    dut.needs_to_write((0x1019, 0))
+    dut.needs_to_write([(0x1019, 0)])
     if dut.eds.can_write(0x1006) and dut.value(0x1006):
         dut.write(0x1006, 0, 0)
     dut.write(0x1019, 0, 10)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 from hilbench.apps.conformance.dut import DeviceUnderTest
@@ -41,12 +40,6 @@ _RESTING: Final = (
 )
 
 
-def needs_drive(dut: DeviceUnderTest) -> None:
-    """Raises NotApplicableError for a device that is no drive of CiA 402."""
-    if not dut.eds.is_drive:
-        raise NotApplicableError("no drive of CiA 402: 6040h and 6041h are not in the EDS file")
-
-
 def statusword(dut: DeviceUnderTest) -> int:
     """6041h."""
     return dut.value(objects.STATUSWORD)
@@ -77,11 +70,12 @@ def wait(dut: DeviceUnderTest, condition: Callable[[], bool], duration_s: float 
     return dut.wire.now_s() - begun_s
 
 
-def expect_state(dut: DeviceUnderTest, what: str, *wanted: State, duration_s: float = STATE_S) -> bool:
+def expect_state(dut: DeviceUnderTest, what: str, wanted: State, *others: State, duration_s: float = STATE_S) -> bool:
     """Expect one of some states within a time."""
-    wait(dut, lambda: state(dut) in wanted, duration_s)
+    states = (wanted, *others)
+    wait(dut, lambda: state(dut) in states, duration_s)
     found = state(dut)
-    return dut.check(what, " or ".join(each.label for each in wanted), label(found), found in wanted)
+    return dut.check(what, " or ".join(each.label for each in states), label(found), found in states)
 
 
 def expect_stays(dut: DeviceUnderTest, what: str, wanted: State) -> bool:
@@ -200,14 +194,6 @@ def _try_command(dut: DeviceUnderTest, word: Command) -> None:
 # -- turning ---------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Speed:
-    """Speed of a drive in a case, in its own units."""
-
-    velocity: int
-    units: DriveUnits
-
-
 def units(dut: DeviceUnderTest) -> DriveUnits:
     """Units in the drive's objects. Raises NotApplicableError when they are missing."""
 
@@ -220,8 +206,9 @@ def units(dut: DeviceUnderTest) -> DriveUnits:
         raise NotApplicableError(f"the drive does not define its units: {error.problem}") from error
 
 
-def speed(dut: DeviceUnderTest) -> Speed:
-    """60 rpm of the motor, or what 6080h and 607Fh allow of it; ramps are set to go with it."""
+def speed(dut: DeviceUnderTest) -> tuple[int, DriveUnits]:
+    """60 rpm of the motor in its own units, or what 6080h and 607Fh allow of it, and those units; ramps are set to go
+    with it."""
     known = units(dut)
     limits = [_SPEED_RPM]
     if dut.eds.has(objects.MAX_MOTOR_SPEED):
@@ -239,14 +226,13 @@ def speed(dut: DeviceUnderTest) -> Speed:
     for index, duration_s in ramps.items():
         if dut.eds.can_write(index):
             dut.write(index, 0, max(1, round(velocity / duration_s)))
-    return Speed(velocity, known)
+    return velocity, known
 
 
 def turn(dut: DeviceUnderTest, velocity: int) -> None:
     """Enabled in profile velocity mode, and at speed."""
     needs_mode(dut, OperationMode.PROFILE_VELOCITY)
-    bring(dut, State.OPERATION_ENABLED)
-    choose(dut, OperationMode.PROFILE_VELOCITY)
+    enable(dut, OperationMode.PROFILE_VELOCITY)
     dut.write(objects.TARGET_VELOCITY, 0, velocity)
     if wait(dut, lambda: abs(actual_velocity(dut)) >= 0.8 * abs(velocity), 5.0 * SLOW_RAMP_S) is None:
         dut.must(dut.check("at speed", f"{velocity} (606Ch)", str(actual_velocity(dut)), False))

@@ -18,17 +18,13 @@ from hilbench.cia402.state_machine import Command
 
 RPDO, TPDO = 0x1400, 0x1800
 _DEFAULT_IDS: Final = {RPDO: (0x200, 0x300, 0x400, 0x500), TPDO: (0x180, 0x280, 0x380, 0x480)}
-_SHUTDOWN, _DISABLE = Command.SHUTDOWN.value, Command.DISABLE_VOLTAGE.value
 
 
 def transmit_pdo(dut: DeviceUnderTest) -> Pdo:
     """A TPDO with what `change` changes in it. Raises NotApplicableError when the device can't have one."""
     if dut.eds.is_drive:
         return _pdo(dut, TPDO, dut.eds.entry(STATUSWORD))
-    found = [
-        e for e in dut.eds.entries(0x2000) if e.variable.pdo_mappable and e.access in ("rw", "rwr") and e.is_integer
-    ]
-    return _pdo(dut, TPDO, some(found, "no object that may be mapped to a TPDO can be written by the EDS file")[0])
+    return _pdo(dut, TPDO, _mappable(dut, "a TPDO", ("rw", "rwr")))
 
 
 def receive_pdo(dut: DeviceUnderTest) -> Pdo:
@@ -37,14 +33,14 @@ def receive_pdo(dut: DeviceUnderTest) -> Pdo:
     """
     if dut.eds.is_drive:
         return _pdo(dut, RPDO, dut.eds.entry(CONTROLWORD))
-    found = [
-        e
-        for e in dut.eds.entries(0x2000)
-        if e.variable.pdo_mappable and e.writable and e.access != "rwr" and e.is_integer
-    ]
-    output = some(found, "no object that may be mapped to an RPDO can be written by the EDS file")[0]
+    output = _mappable(dut, "an RPDO", ("rw", "rww"))
     dut.needs_motion(f"writes {output}, an output")
     return _pdo(dut, RPDO, output)
+
+
+def _mappable(dut: DeviceUnderTest, what: str, access: Sequence[str]) -> Entry:
+    found = [e for e in dut.eds.entries(0x2000) if e.variable.pdo_mappable and e.access in access and e.is_integer]
+    return some(found, f"no object that may be mapped to {what} can be written by the EDS file")[0]
 
 
 def _pdo(dut: DeviceUnderTest, base: int, entry: Entry) -> Pdo:
@@ -107,8 +103,7 @@ def change(dut: DeviceUnderTest) -> None:
     """Change what the case's TPDO carries."""
     if dut.eds.is_drive:
         before = dut.value(STATUSWORD) & 0x6F
-        word = _DISABLE if before == 0x21 else _SHUTDOWN
-        dut.write(CONTROLWORD, 0, word)
+        dut.write(CONTROLWORD, 0, (Command.DISABLE_VOLTAGE if before == 0x21 else Command.SHUTDOWN).value)
         return
     index, sub = dut.pdo.carries.key
     dut.write(index, sub, dut.value(index, sub) ^ 1)

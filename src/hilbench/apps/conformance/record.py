@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TypeVar
@@ -78,15 +78,20 @@ class Examination:
     cases: Sequence[CaseResult] = field(default=())
 
     @property
-    def counts(self) -> dict[Verdict, int]:
-        """Number of cases with each verdict."""
-        counted = Counter(case.verdict for case in self.cases)
-        return {verdict: counted[verdict] for verdict in Verdict}
-
-    @property
     def failed(self) -> list[CaseResult]:
         """Cases that failed."""
         return [case for case in self.cases if case.verdict is Verdict.FAILED]
+
+
+def counts(cases: Iterable[CaseResult]) -> dict[Verdict, int]:
+    """Number of cases with each verdict."""
+    found = Counter(case.verdict for case in cases)
+    return {verdict: found[verdict] for verdict in Verdict}
+
+
+def counted(cases: Iterable[CaseResult]) -> str:
+    """Number of each verdict, for a person."""
+    return ", ".join(f"{count} {verdict}" for verdict, count in counts(cases).items() if count)
 
 
 def some(found: list[Found], otherwise: str) -> list[Found]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
 from xml.etree import ElementTree
 
-from hilbench.apps.conformance.record import CaseResult, Examination, Step, Verdict
+from hilbench.apps.conformance.record import CaseResult, Examination, Step, Verdict, counted
 from hilbench.apps.report.page import write_page
 from hilbench.results.junit import write_suite
 
@@ -24,8 +23,8 @@ def write_conformance_page(examination: Examination, path: Path) -> Path:
         [],
         title=f"Conformance of {examination.device}",
         examination=examination,
-        groups=[(group, counted(case.verdict for case in cases), cases) for group, cases in groups],
-        counted=counted(case.verdict for case in examination.cases),
+        groups=[(group, counted(cases), cases) for group, cases in groups],
+        counted=counted(examination.cases),
         Verdict=Verdict,
         shown=shown,
     )
@@ -40,12 +39,6 @@ def shown(case: CaseResult) -> tuple[list[Step], int]:
         if left[step.ok] >= 0:
             found.append(step)
     return found, len(case.steps) - len(found)
-
-
-def counted(verdicts: Iterable[Verdict]) -> str:
-    """Number of each verdict, for a person."""
-    found = list(verdicts)
-    return ", ".join(f"{found.count(verdict)} {verdict}" for verdict in Verdict if verdict in found)
 
 
 def write_junit(examination: Examination, path: Path) -> None:

@@ -47,32 +47,16 @@ def wrong_length(dut: DeviceUnderTest, widths: list[int], length: int, code: Abo
 
 def beyond_limit(dut: DeviceUnderTest, limit: Literal["min", "max"], code: AbortCode, known: Mapping[Key, int]) -> None:
     """Refused are values that the standard forbids, and the one beyond the first limit in the file."""
-    step = 1 if limit == "max" else -1
     known = {key: value for key, value in known.items() if dut.eds.can_write(*key)}
     for (index, sub), value in known.items():
         dut.refuses(f"{value} to {index:04X}h:{sub}", index, sub, dut.data_of(index, sub, value), code, INVALID_VALUE)
-    entry = next(
-        (
-            e
-            for e in dut.eds.entries(0x1000)
-            if e.writable and e.is_integer and _fits(e.width, getattr(e.variable, limit), step)
-        ),
-        None,
-    )
-    if entry is not None:
-        value = int(getattr(entry.variable, limit)) + step
-        data = dut.data_of(entry.index, entry.sub, value)
-        dut.refuses(f"{value} to {entry}", entry.index, entry.sub, data, code, INVALID_VALUE)
+    found = ((e, e.beyond(limit)) for e in dut.eds.entries(0x1000) if e.writable and e.is_integer)
+    entry, beyond = next((each for each in found if each[1] is not None), (None, None))
+    if entry is not None and beyond is not None:
+        data = dut.data_of(*entry.key, beyond)
+        dut.refuses(f"{beyond} to {entry}", *entry.key, data, code, INVALID_VALUE)
     elif not known:
         raise NotApplicableError("the EDS file has no limit that could be passed")
-
-
-def _fits(width: int | None, limit: int | None, step: int) -> bool:
-    """True if the value beyond a limit is one of the type (as unsigned: a bit pattern is sent)."""
-    if width is None or limit is None:
-        return False
-    low = -(1 << 8 * width - 1) if limit < 0 else 0
-    return low <= limit + step < 1 << (8 * width - (1 if limit < 0 else 0))
 
 
 def _long_text(dut: DeviceUnderTest) -> tuple[int, bytes]:
@@ -190,4 +174,4 @@ def block_download(dut: DeviceUnderTest, key: Key, crc: bool) -> None:
 
 def further_servers(dut: DeviceUnderTest) -> None:
     """SDO servers of the file are there, and no others."""
-    read_if_there(dut, "43", *((index, 1) for index in range(0x1201, 0x1280)))
+    read_if_there(dut, "43", [(index, 1) for index in range(0x1201, 0x1280)])

@@ -134,7 +134,7 @@ def error_history(dut: DeviceUnderTest) -> None:
 
 def sound_rpdo(dut: DeviceUnderTest) -> None:
     """RPDO in OPERATIONAL that was received once correctly: an earlier error would not be reported again."""
-    dut.needs((0x1014, 0))
+    dut.needs([(0x1014, 0)])
     receive_pdo(dut)
     set_up(dut, 255)
     dut.nmt(NmtCommand.START)
@@ -177,7 +177,7 @@ def register_after_short_rpdo(dut: DeviceUnderTest) -> None:
 
 def produce_sync(dut: DeviceUnderTest) -> None:
     """SYNC with a period of 100 ms. Raises NotApplicableError for a device that is no producer."""
-    dut.needs_to_write((0x1005, 0), (0x1006, 0))
+    dut.needs_to_write([(0x1005, 0), (0x1006, 0)])
     dut.configure(0x1006, 0, 0, "no period")
     dut.configure(0x1005, 0, PRODUCE_SYNC | SYNC, "the device is no SYNC producer")
     dut.configure(0x1006, 0, _PRODUCED_US, "a period of 100 ms")

@@ -65,7 +65,7 @@ def _reads(dut: DeviceUnderTest, what: str, values: Mapping[tuple[int, int], int
         dut.reads(what.format(index=f"{index:04X}h", key=f"{index:04X}h:{sub}"), index, sub, value)
 
 
-def remember(dut: DeviceUnderTest, *keys: Key) -> None:
+def remember(dut: DeviceUnderTest, keys: Sequence[Key]) -> None:
     """Values of those of these objects that can be written, for `as_remembered` and `as_default`."""
     dut.remembered = {key: dut.value(*key) for key in keys if dut.eds.can_write(*key)}
 
@@ -87,7 +87,7 @@ def as_default(dut: DeviceUnderTest, what: str) -> None:
     _reads(dut, what, {key: int.from_bytes(data, "little") for key, data in entries.items() if data is not None})
 
 
-def read(dut: DeviceUnderTest, key: Key, *expected: str) -> None:
+def read(dut: DeviceUnderTest, key: Key, expected: Sequence[str]) -> None:
     """Read up to four bytes, and expect one of these answers; `{mux}` is the object in it, `{default}` its default,
     `{emergency}`, `{sdo_request}` and `{sdo_answer}` predefined identifiers."""
     index, sub = key
@@ -99,11 +99,11 @@ def read(dut: DeviceUnderTest, key: Key, *expected: str) -> None:
     dut.ask(f"read {index:04X}h:{sub}", request, *(each.format(**names, **ABORT_DIGITS) for each in expected))
 
 
-def read_if_there(dut: DeviceUnderTest, head: str, *keys: Key) -> None:
+def read_if_there(dut: DeviceUnderTest, head: str, keys: Sequence[Key]) -> None:
     """Objects that the file has are there, the others are not."""
     for index, sub in keys:
         there = dut.eds.has(index, sub)
-        read(dut, (index, sub), f"{head} {{mux}} ????????" if there else aborted(index, sub, NO_OBJECT))
+        read(dut, (index, sub), [f"{head} {{mux}} ????????" if there else aborted(index, sub, NO_OBJECT)])
 
 
 def refuse(dut: DeviceUnderTest, what: str, key: Key, codes: list[AbortCode], data: Digits | None = None) -> None:
@@ -118,7 +118,7 @@ def refuse_each(dut: DeviceUnderTest, value: int, keys: list[Key], codes: list[A
             dut.refuses(f"{value} to {index:04X}h", index, sub, dut.data_of(index, sub, value), *codes)
 
 
-def ask(dut: DeviceUnderTest, what: str, request: str, *expected: str, key: Key | None = None) -> None:
+def ask(dut: DeviceUnderTest, what: str, request: str, expected: Sequence[str], key: Key | None = None) -> None:
     """A request, and one of the expected answers to it; in those `{NO_OBJECT}` is an abort code, `{mux}` the object."""
     names = dict(ABORT_DIGITS)
     if key is not None:
@@ -158,12 +158,12 @@ def counts(
     dut.check(what, expected, seen.format(count=len(found), periods=periods(found), data=several), ok)
 
 
-def expect(dut: DeviceUnderTest, what: str, of: _Sender, within_s: float, *frames: str) -> None:
+def expect(dut: DeviceUnderTest, what: str, of: _Sender, within_s: float, frames: Sequence[str] = ()) -> None:
     """Expect these frames in a time, or none. `{any}`: any data of the PDO."""
     _expect(dut, what, dut.receive(within_s), of, frames)
 
 
-def sync(dut: DeviceUnderTest, what: str, of: _Sender, *frames: str, data: Digits = b"") -> None:
+def sync(dut: DeviceUnderTest, what: str, of: _Sender, frames: Sequence[str] = (), data: Digits = b"") -> None:
     """Expect that a SYNC brings these frames, or none."""
     _expect(dut, what, dut.sync(data), of, frames)
 

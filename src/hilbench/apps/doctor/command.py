@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
+from rich.markup import escape
 from typer import Argument, Option
 
 from hilbench.apps.cli.config_file import load_config
 from hilbench.apps.cli.options import BusOption, JsonOption, PaceOption, SetOption, print_json
+from hilbench.apps.cli.tables import table
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, UnusableInputError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from hilbench.apps.doctor.examination import Examination
     from hilbench.apps.doctor.findings import Finding
 
@@ -37,8 +38,6 @@ def doctor(
 
     Example: hilbench doctor bench_configs/web_section_step.yaml --bus socketcan:can0
     """
-    from rich.console import Console
-
     from hilbench.apps.doctor.examination import examine
     from hilbench.apps.doctor.subject import Subject
     from hilbench.can.open import BusAddress
@@ -76,10 +75,6 @@ def _as_data(examination: Examination) -> dict[str, object]:
 
 def _show(console: Console, examination: Examination) -> None:
     """Print the examination for a person: findings with what was expected, then what to do."""
-    from rich.markup import escape
-
-    from hilbench.apps.cli.tables import table
-
     rows = []
     for subject, findings in groupby(examination.findings, lambda finding: finding.subject):
         rows.append(("", "", f"[bold]{escape(subject)}[/bold]"))
@@ -102,8 +97,6 @@ def _show(console: Console, examination: Examination) -> None:
 
 def _show_advice(console: Console, findings: Sequence[Finding]) -> None:
     """Print what to do, each in a line of its own that can be copied, under a comment that says what for."""
-    from rich.markup import escape
-
     concerned: dict[str, list[str]] = {}
     for finding in findings:
         if finding.advice:

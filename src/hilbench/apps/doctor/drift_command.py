@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
 from typer import Option
 
 from hilbench.apps.cli.config_file import load_config
@@ -43,8 +44,6 @@ def drift(
 
     Example: hilbench drift bench_configs/web_section_step.yaml --bus socketcan:can0 --json
     """
-    from rich.console import Console
-
     from hilbench.apps.canopen_tools.attach import left_out
     from hilbench.apps.canopen_tools.eds_match import eds_files
     from hilbench.apps.doctor.drift import drifts
@@ -76,7 +75,12 @@ def drift(
     )
     written = _write(config, found, write or ())
     if json:
-        print_json(_as_data(found, last, problems, written))
+        drifts_as_data = [
+            {**vars(each), "write": {".".join(location): value for location, value in each.write.items()}}
+            for each in found
+        ]
+        known = {"last_run": None if last is None else last.folder.path, "drifted": bool(found)}
+        print_json({**known, "drifts": drifts_as_data, "written": written, "notes": problems})
     else:
         _show(found, last, problems, written)
     raise typer.Exit(EXIT_CRITERION_FAILED if found else EXIT_PASSED)
@@ -96,21 +100,6 @@ def _write(config: Path, found: Sequence[Drift], keys: Sequence[str]) -> list[st
     chosen = possible.values() if "all" in keys else [possible[key] for key in keys]
     changes = {location: value for each in chosen for location, value in each.write.items()}
     return [f"{write_value(config, at, value)}: {'.'.join(at)} is {value} now" for at, value in changes.items()]
-
-
-def _as_data(
-    found: Sequence[Drift], last: LastRun | None, problems: Sequence[str], written: Sequence[str]
-) -> dict[str, Any]:
-    return {
-        "last_run": None if last is None else str(last.folder.path),
-        "drifted": bool(found),
-        "drifts": [
-            {**vars(each), "write": {".".join(location): value for location, value in each.write.items()}}
-            for each in found
-        ],
-        "written": list(written),
-        "notes": list(problems),
-    }
 
 
 def _show(found: Sequence[Drift], last: LastRun | None, problems: Sequence[str], written: Sequence[str]) -> None:

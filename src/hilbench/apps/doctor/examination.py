@@ -58,22 +58,22 @@ def examine(subject: Subject, announce: Callable[[str], None]) -> Examination:
     """Examine machine, interface and nodes."""
     announce("measure the timer")
     lateness = measure_lateness(subject.cycle_s, _MEASURE_S)
+    findings = check_machine(read_machine(), lateness, subject)
     bus = subject.bus
-    machine = check_machine(read_machine(), lateness, subject)
-    if bus is None:
-        return Examination(machine, lateness)
-    if not subject.on_socketcan:
+    if bus is not None and not subject.on_socketcan:
         what = "embedded" if bus.interface == "embedded" else f"python-can's {bus.interface}"
-        interface = [ok(Check.INTERFACE, str(bus), f"{what}: nothing to check")]
-        return Examination(machine + interface + _stations(subject, bus, announce), lateness)
-    before = read_interface(bus.channel)
-    interface = check_interface(before, before, subject)
-    if any(finding.level is Level.ERROR for finding in interface):
-        left_alone = warning(Check.BUS, str(bus), "not used: its interface is not right", "bus_left_alone")
-        return Examination([*machine, *interface, left_alone], lateness)
-    stations = _stations(subject, bus, announce)
-    interface = check_interface(before, read_interface(bus.channel), subject)
-    return Examination(machine + interface + stations, lateness)
+        findings.append(ok(Check.INTERFACE, str(bus), f"{what}: nothing to check"))
+        findings += _stations(subject, bus, announce)
+    elif bus is not None:
+        before = read_interface(bus.channel)
+        interface = check_interface(before, before, subject)
+        if any(finding.level is Level.ERROR for finding in interface):
+            stations = [warning(Check.BUS, str(bus), "not used: its interface is not right", "bus_left_alone")]
+        else:
+            stations = _stations(subject, bus, announce)
+            interface = check_interface(before, read_interface(bus.channel), subject)
+        findings += interface + stations
+    return Examination(findings, lateness)
 
 
 def _stations(subject: Subject, bus: BusAddress, announce: Callable[[str], None]) -> list[Finding]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from typing import Final
 
 from hilbench import strict_yaml
 
@@ -72,18 +73,13 @@ def ok(check: Check, subject: str, found: str) -> Finding:
     return Finding(check, subject, Level.OK, found)
 
 
-def warning(check: Check, subject: str, found: str, problem: str = "", **values: object) -> Finding:
-    """A run works, but not as well or not as safely as it could; `problem`: in `findings.yaml`, if not by the check."""
-    return _problem(Level.WARNING, check, subject, found, problem, values)
-
-
-def error(check: Check, subject: str, found: str, problem: str = "", **values: object) -> Finding:
-    """A run would fail, or its result could not be trusted."""
-    return _problem(Level.ERROR, check, subject, found, problem, values)
-
-
-def _problem(
-    level: Level, check: Check, subject: str, found: str, problem: str, values: Mapping[str, object]
-) -> Finding:
+def _problem(level: Level, check: Check, subject: str, found: str, problem: str = "", **values: object) -> Finding:
+    """Finding of what is not as it should be; `problem`: in `findings.yaml`, if not by the check."""
     text, values = _texts()[problem or check], {"name": subject, **values}
     return Finding(check, subject, level, found, text["expected"].format_map(values), text["advice"].format_map(values))
+
+
+#: A run works, but not as well or not as safely as it could.
+warning: Final = partial(_problem, Level.WARNING)
+#: A run would fail, or its result could not be trusted.
+error: Final = partial(_problem, Level.ERROR)

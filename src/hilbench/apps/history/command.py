@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from rich.console import Console
 from typer import Argument, Option
 
 from hilbench.apps.cli.options import JsonOption, key_and_number, print_json
+from hilbench.apps.cli.tables import table
 from hilbench.errors import UnusableInputError
 
 if TYPE_CHECKING:
@@ -84,9 +86,6 @@ def history(
 
 
 def _show(found: dict[str, list[QuantityTrend]], path: Path, problems: Sequence[str], html: Path | None) -> None:
-    from rich.console import Console
-
-    from hilbench.apps.cli.tables import table
     from hilbench.apps.history.quantities import COLUMNS, figures, sentences
 
     console = Console(highlight=False)

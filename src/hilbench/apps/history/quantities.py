@@ -74,10 +74,7 @@ def quantities_of(rows: Sequence[Row], limits: Mapping[str, float]) -> Iterator[
         days = np.array([(row.time_s - first) / SECONDS_PER_DAY for row in found])
         values, deviations = np.array([(row.quantity.value, row.quantity.sd) for row in found]).T
         ahead_d = _AHEAD * float(days[-1])
-        limits_ahead = () if limit is None else (limit,)
-        yield QuantityTrend(
-            name, unit, found, limit, trend(days, values, deviations, limits=limits_ahead, ahead_d=ahead_d)
-        )
+        yield QuantityTrend(name, unit, found, limit, trend(days, values, deviations, limit=limit, ahead_d=ahead_d))
 
 
 def moment(time_s: float) -> str:
@@ -127,9 +124,9 @@ def sentences(one: QuantityTrend) -> list[str]:
 def _limit_sentence(one: QuantityTrend) -> str:
     assert one.limit is not None, "asked of quantities that have one"
     limit = f"limit {one.limit:g} {one.unit}".rstrip()
-    if one.trend is None or not one.trend.reached:
+    if one.trend is None or one.trend.reached is None:
         return f"{limit}: no trend towards it is seen"
-    reached, last_s = one.trend.reached[0], one.rows[-1].time_s
+    reached, last_s = one.trend.reached, one.rows[-1].time_s
 
     def date_text(day: float) -> str:
         return date(last_s + SECONDS_PER_DAY * day) if day < FAR_D else "never"
@@ -173,9 +170,9 @@ def _change(one: QuantityTrend, change: Change) -> dict[str, Any]:
 
 
 def _reached(one: QuantityTrend) -> dict[str, Any] | None:
-    if one.trend is None or not one.trend.reached:
+    if one.trend is None or one.trend.reached is None:
         return None
-    reached, last_s = one.trend.reached[0], one.rows[-1].time_s
+    reached, last_s = one.trend.reached, one.rows[-1].time_s
     days = {"expected": reached.median_d, "from": reached.from_d, "to": reached.to_d}
     return {
         f"{name}{suffix}": value

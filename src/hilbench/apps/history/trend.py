@@ -76,7 +76,6 @@ class Change:
 class Reached:
     """Time at which a limit will be reached, days from the last run: median, 90 % interval; infinite for never."""
 
-    limit: float
     median_d: float
     from_d: float
     to_d: float
@@ -95,7 +94,7 @@ class Trend:
     repeat_sd: float  #: how runs repeat beyond what they state
     daily_sd: float  #: how days vary
     changes: tuple[Change, ...]
-    reached: tuple[Reached, ...]  #: one a limit ahead; none where no trend is reported
+    reached: Reached | None  #: of a limit ahead; None where no trend towards it is reported
     band_d: Array  #: (m,) times of the band
     band: Array  #: (m,) mean
     band_low: Array  #: (m,) of 95 %
@@ -107,12 +106,12 @@ def trend(
     values: ArrayLike,
     deviations: ArrayLike,
     *,
-    limits: Sequence[float] = (),
+    limit: float | None = None,
     ahead_d: float = 0.0,
 ) -> Trend | None:
     """The trend of values (n,) at days (n,), with stated standard deviations (n,); None where all runs are of one day.
 
-    limits: values whose time of arrival is predicted; ahead_d: how far beyond the last run the band goes.
+    limit: a value whose time of arrival is predicted; ahead_d: how far beyond the last run the band goes.
     Raises ValueError for what is not finite.
     """
     t, y, s = (np.asarray(given, np.float64) for given in (days, values, deviations))
@@ -126,7 +125,7 @@ def trend(
     points = _Points.of(t, y, s)
     if len(points.t) < 2:
         return None
-    return _Average(points).trend(limits, ahead_d, may_report=long_enough)
+    return _Average(points).trend(limit, ahead_d, may_report=long_enough)
 
 
 @dataclass(frozen=True)
@@ -331,7 +330,7 @@ class _Average:
         best = int(np.argmax(weights))
         return best if weights.sum() >= CHANGE_SURE and best not in chosen else None
 
-    def trend(self, limits: Sequence[float], ahead_d: float, *, may_report: bool) -> Trend:
+    def trend(self, limit: float | None, ahead_d: float, *, may_report: bool) -> Trend:
         """Trend by Bayesian model averaging."""
         points, scatter, middle, fit = self._points, self._points.scatter, self._points.middle, self._fit(self._chosen)
         band_d = np.unique(np.concatenate([points.t, np.linspace(points.t[0], self._end + ahead_d, 120)]))
@@ -359,7 +358,7 @@ class _Average:
             repeat_sd=scatter * float(np.sqrt(variances @ self._repeat**2)),
             daily_sd=scatter * float(np.sqrt(variances @ self._daily**2)),
             changes=tuple(self._changes()),
-            reached=tuple(found for limit in limits if (found := self._reached(mixture, limit, direction)) is not None),
+            reached=None if limit is None else self._reached(mixture, limit, direction),
             band_d=band_d,
             band=band,
             band_low=band - half,
@@ -397,7 +396,7 @@ class _Average:
             days = (distance - levels) / rates
         days = np.where(rates * (distance - level) > 0.0, np.maximum(days, 0.0), np.inf)
         early, middle, late = (float(each) for each in np.quantile(days, [0.05, 0.5, 0.95], method="nearest"))
-        return Reached(limit, middle, early, late)
+        return Reached(middle, early, late)
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
+from rich.console import Console
 from typer import Option
 
 from hilbench.apps.cli.options import ConfigArgument, JsonOption, SetOption, print_json
+from hilbench.apps.cli.tables import table
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
 
 if TYPE_CHECKING:
@@ -78,10 +80,6 @@ _MOST_ROWS = 50
 
 def _show(made: Sweep) -> None:
     """The table: what was varied, the verdict and the metrics that are judged."""
-    from rich.console import Console
-
-    from hilbench.apps.cli.tables import table
-
     metrics, rows = made.shown_metrics(), made.sorted_rows()
     lines = []
     for row in rows[:_MOST_ROWS]:
@@ -138,7 +136,6 @@ def _number(text: str) -> float | None:
 
 
 def _run(made: Sweep, jobs: int, cluster: str | None, *, quiet: bool) -> None:
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True, highlight=False)

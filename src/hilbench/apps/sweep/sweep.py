@@ -10,12 +10,12 @@ import os
 import select
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -85,52 +85,40 @@ class Job:
     arguments: tuple[str, ...]
     folder: str
 
+    @property
+    def log(self) -> Path:
+        """File for what it says, beside its folder."""
+        return Path(self.folder).with_suffix(".log")
 
-@dataclass
-class _Running:
-    """A run in a process of its own; what it says goes to a file beside its folder, kept where it failed."""
 
-    job: Job
-    process: ChildProcess
-    log: Path
+def begin(job: Job, copy: ForkedWorker | None = None) -> ChildProcess:
+    """Start a run in a process of its own, or let a copy of this process become it; what it says is kept where it
+    failed."""
+    job.log.parent.mkdir(parents=True, exist_ok=True)
+    job.log.unlink(missing_ok=True)
+    return ChildProcess(f"run {job.number}", ["hilbench.results", *job.arguments], job.log, copy=copy)
 
-    @classmethod
-    def begin(cls, job: Job, copy: ForkedWorker | None = None) -> Self:
-        """Start it, or let a copy of this process become it."""
-        log = Path(job.folder).with_suffix(".log")
-        log.parent.mkdir(parents=True, exist_ok=True)
-        log.unlink(missing_ok=True)
-        return cls(job, ChildProcess(f"run {job.number}", ["hilbench.results", *job.arguments], log, copy=copy), log)
 
-    def result(self) -> Row | None:
-        """Row of the run, once it has ended; None when it was interrupted."""
-        job, code, said = self.job, self.process.wait(), self.process.last_words()
-        self.process.end()
-        if code in (EXIT_PASSED, EXIT_CRITERION_FAILED, EXIT_INTERRUPTED):
-            self.log.unlink(missing_ok=True)
-        if code == EXIT_INTERRUPTED:
-            return None
-        folder = Path(job.folder)
-        folders = sorted(folder.glob("*/")) if folder.is_dir() else []
-        result = RunFolder(folders[-1]).result if folders else None
-        left = json.loads(result.read_text(encoding="utf-8")) if result is not None and result.exists() else {}
-        faults = " ".join(fault["text"] for fault in left.get("faults", []))
-        said = "" if code in (EXIT_PASSED, EXIT_CRITERION_FAILED) else (faults or said)[:_LAST_WORDS]
-        run = str(folders[-1].relative_to(folder.parents[1])) if folders else None
-        return Row(job.number, job.changes, code, run, left.get("metrics", {}), said, bool(left.get("criteria")))
+def row_of(job: Job, process: ChildProcess) -> Row | None:
+    """Row of a run, once it has ended; None when it was interrupted."""
+    code, said, folder = process.wait(), process.last_words(), Path(job.folder)
+    process.end()
+    if code in (EXIT_PASSED, EXIT_CRITERION_FAILED, EXIT_INTERRUPTED):
+        job.log.unlink(missing_ok=True)
+    if code == EXIT_INTERRUPTED:
+        return None
+    folders = sorted(folder.glob("*/")) if folder.is_dir() else []
+    result = RunFolder(folders[-1]).result if folders else None
+    left = json.loads(result.read_text(encoding="utf-8")) if result is not None and result.exists() else {}
+    faults = " ".join(fault["text"] for fault in left.get("faults", []))
+    said = "" if code in (EXIT_PASSED, EXIT_CRITERION_FAILED) else (faults or said)[:_LAST_WORDS]
+    run = str(folders[-1].relative_to(folder.parents[1])) if folders else None
+    return Row(job.number, job.changes, code, run, left.get("metrics", {}), said, bool(left.get("criteria")))
 
 
 def execute(job: Job) -> Row | None:
     """Do a run in a process of its own, here; None when it was interrupted."""
-    return _Running.begin(job).result()
-
-
-def _row(job: Job, future: Future[Row | None]) -> Row | None:
-    """Row of a job; one that its worker could not do leaves a row as well."""
-    error = future.exception()
-    if error is None:
-        return future.result()
-    return Row(job.number, job.changes, EXIT_BENCH_FAULT, said=f"not done: {error}"[:_LAST_WORDS])
+    return row_of(job, begin(job))
 
 
 @contextmanager
@@ -263,23 +251,24 @@ class Sweep:
         """Run jobs in forks of this process, which has loaded what each of them needs."""
         if len(left) > 1:
             self._load()
-        waiting, running = deque(left), dict[int, _Running]()
+        waiting, running = deque(left), dict[int, tuple[Job, ChildProcess]]()
         ends = select.poll()
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
+                    job = waiting.popleft()
                     with forked_workers({_RUN: lambda: None}) as made:
-                        run = _Running.begin(waiting.popleft(), made.pop(_RUN, None))
-                    end = os.pidfd_open(run.process.pid)
-                    running[end] = run
+                        process = begin(job, made.pop(_RUN, None))
+                    end = os.pidfd_open(process.pid)
+                    running[end] = job, process
                     ends.register(end, select.POLLIN)
                 for end, _ in ends.poll():
                     ends.unregister(end)
                     os.close(end)
-                    self._keep(running.pop(end).result(), done)
+                    self._keep(row_of(*running.pop(end)), done)
         finally:
-            for run in running.values():
-                run.process.end()
+            for _, process in running.values():
+                process.end()
 
     def _load(self) -> None:
         """Load what a run needs, by a bench that is started, runs a little and is left again; what is wrong with it the
@@ -296,7 +285,9 @@ class Sweep:
             try:
                 while waiting:
                     for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                        self._keep(_row(waiting.pop(future), future), done)
+                        job, error = waiting.pop(future), future.exception()
+                        lost = Row(job.number, job.changes, EXIT_BENCH_FAULT, said=f"not done: {error}"[:_LAST_WORDS])
+                        self._keep(future.result() if error is None else lost, done)
             except BaseException:
                 for future in waiting:
                     future.cancel()
