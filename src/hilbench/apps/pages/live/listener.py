@@ -18,7 +18,7 @@ import numpy as np
 from hilbench.apps.library.live_run import LiveRun, continues
 from hilbench.apps.monitor.picture import START_ALL, BusPicture, Condition
 from hilbench.apps.pages.live.history import Entry, Events, History, Weight
-from hilbench.apps.pages.live.machines.kinds import live_panels, settled, signals_of
+from hilbench.apps.pages.live.machines.kinds import live_panels, signals_of
 from hilbench.arrays import Array
 from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
@@ -27,6 +27,7 @@ from hilbench.canopen.emergency_stop import EMERGENCY_STOP, send_emergency_stop
 from hilbench.canopen.identifiers import NMT, SYNC
 from hilbench.errors import BenchFaultError, BusError, HilbenchError, UnusableInputError
 from hilbench.exchange.nodes import Nodes
+from hilbench.machine_kinds import machine_part
 from hilbench.results.journal import append_to_journal
 from hilbench.results.recover import CycleFrames, CycleSplitter, Decoder, take_units
 from hilbench.results.result import Result
@@ -37,10 +38,17 @@ from hilbench.topology.signal_kinds import TIME
 
 #: Of what comes before the first SYNC, the drives' answers say their units.
 _MOST_WAITING: Final = 50_000
-#: Entries of a journal that are sent one by one.
-REPORTED: Final = frozenset(
-    {"enabled", "stopping", "loop_open", "loop_closed", "predicted", "gap_seen", "model_proposed", "asked"}
-)
+#: Entries of a journal that are sent one by one: who or what they are about, what happened, and their weight.
+_EVENTS: Final[dict[str, tuple[str, str, Weight]]] = {
+    "enabled": ("bench", "drives enabled", "note"),
+    "stopping": ("bench", "the drives are brought to a stop", "note"),
+    "loop_open": ("controller", "{0.path} open for long", "warning"),
+    "loop_closed": ("controller", "{0.path} closed after long", "note"),
+    "predicted": ("prediction", "{0.path} beyond {0.value:.6g} is expected", "warning"),
+    "gap_seen": ("live diagnosis", "model and measurement part since t = {0.value:.3f} s", "warning"),
+    "model_proposed": ("live diagnosis", "another model is proposed: {0.path}", "warning"),
+    "asked": ("{0.who}", "{0.path}", "operator"),
+}
 
 
 #: The run on the bus of a name, if it is known.
@@ -66,6 +74,7 @@ class LiveSamples:
         self._shown = [self._names.index(name) for name in history.names]
         truths = {signal.name for signal in config.signals if signal.group == "truth"}
         self._truth = [at for at, name in enumerate(history.names) if name in truths]
+        self._settled: Callable[..., bool] = machine_part(config.machine.kind, "page").settled
         self._rows: list[Sequence[float]] = []
         self._begin(from_start=False)
         Decoder(config, self._nodes, None, self._rows.append)  # compiles, or loads, what each cycle runs
@@ -160,7 +169,7 @@ class LiveSamples:
             self.log.add(change)
             if change.what == "enabled":
                 self._first_cycle = change.cycle
-            if change.what in REPORTED:
+            if change.what in _EVENTS:
                 self._reported.append(change)
 
     def _store(self) -> None:
@@ -171,7 +180,7 @@ class LiveSamples:
         shown = rows[:, self._shown]
         if self._simulates_anew:
             self._first_row = rows[0] if self._first_row is None else self._first_row
-            self._simulates_anew = not settled(self._config, self._names, self._first_row, rows[-1])
+            self._simulates_anew = not self._settled(self._config, self._names, self._first_row, rows[-1])
             shown[:, self._truth] = np.nan
         self._history.add(rows[:, self._time], shown)
 
@@ -209,7 +218,6 @@ class Listener:
         self._link: Link | None = None
         self._samples: LiveSamples | None = None
         self._bus_problem = ""
-        self._noted_faults = 0
         self._newest_ns = 0  # of the wall clock: when the last SYNC was received
         self._folder: RunFolder | None = None  # of the run that is received, or was last
         self._ended: dict[str, Any] | None = None  # what became of it
@@ -279,7 +287,8 @@ class Listener:
             self.events.add(Entry(None, "monitor", "a run is received"))
         if self._samples.run is not None:
             self._folder = self._samples.run.folder
-        self._note_faults()
+        for note in self._picture.new_faults():
+            self.events.add(Entry(self._now_s(), note.part, note.text, "fault"))
         self._note_journal(self._samples.log)
         for t_s, change in self._samples.reported():
             self.events.add(event_of(change, t_s))
@@ -290,13 +299,6 @@ class Listener:
 
     def _now_s(self) -> float | None:
         return self.history.t_s if isfinite(self.history.t_s) else None
-
-    def _note_faults(self) -> None:
-        picture = self._picture
-        unseen = min(picture.fault_count - self._noted_faults, len(picture.faults))
-        self._noted_faults = picture.fault_count
-        for note in list(picture.faults)[len(picture.faults) - unseen :]:
-            self.events.add(Entry(self._now_s(), note.part, note.text, "fault"))
 
     def _note_journal(self, log: EventLog) -> None:
         for event in log.events():
@@ -365,17 +367,8 @@ class Listener:
 
 def event_of(change: Change, t_s: float) -> Entry:
     """Page entry of a journal change other than a quantity that was set."""
-    words: dict[str, tuple[str, str, Weight]] = {
-        "enabled": ("bench", "drives enabled", "note"),
-        "stopping": ("bench", "the drives are brought to a stop", "note"),
-        "loop_open": ("controller", f"{change.path} open for long", "warning"),
-        "loop_closed": ("controller", f"{change.path} closed after long", "note"),
-        "predicted": ("prediction", f"{change.path} beyond {change.value:.6g} is expected", "warning"),
-        "gap_seen": ("live diagnosis", f"model and measurement part since t = {change.value:.3f} s", "warning"),
-        "model_proposed": ("live diagnosis", f"another model is proposed: {change.path}", "warning"),
-        "asked": (change.who or "somebody", change.path, "operator"),
-    }
-    return Entry(t_s, *words[change.what])
+    source, text, weight = _EVENTS[change.what]
+    return Entry(t_s, source.format(change) or "somebody", text.format(change), weight)
 
 
 def ended(folder: RunFolder, result: Result) -> dict[str, Any]:

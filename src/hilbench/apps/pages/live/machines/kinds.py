@@ -12,8 +12,6 @@ from typing import Any
 
 from hilbench.apps.report.chart import VARIABLES
 from hilbench.apps.report.panel import Interval, Panel, Series, panels_of
-from hilbench.arrays import Array
-from hilbench.machine_kinds import machine_part
 from hilbench.topology.config import BenchConfig
 
 
@@ -55,14 +53,3 @@ def panel_data(panel: Panel, config: BenchConfig) -> dict[str, Any]:
 def _data(shown: Series | Interval, *further: str) -> dict[str, Any]:
     known = {name: getattr(shown, name) for name in ("signal", "deviation", *further)}
     return {**known, "colour": VARIABLES[shown.colour]}
-
-
-def drawing_of(config: BenchConfig) -> str:
-    """Drawing of the machine of a bench."""
-    return str(machine_part(config.machine.kind, "page").drawing(config))
-
-
-def settled(config: BenchConfig, names: Sequence[str], first: Array, last: Array) -> bool:
-    """True if the emulation, simulated on the motion since the sample `first` (N,), is right in the sample `last`,
-    whatever its initial state."""
-    return bool(machine_part(config.machine.kind, "page").settled(config, names, first, last))
