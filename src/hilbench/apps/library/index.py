@@ -106,9 +106,8 @@ def read_entry(base: Path, path: str) -> RunEntry:
     """The run in the folder `base`/`path`. What can't be read is a `problem` of the entry: never raises for it."""
     folder = RunFolder(base / path)
     problems = [] if folder.path.is_dir() else ["there is no folder of this name, or its name is no UTF-8"]
-    about = _config(folder, problems)
-    result = _json(folder.result, problems)
-    labels = _json(folder.labels, problems)
+    about = _mapping(folder.config, _top_of_config, problems)
+    result, labels = (_mapping(path, json.loads, problems, optional=True) for path in (folder.result, folder.labels))
     known = {
         "path": path,
         "bench": str(about.get("name") or folder.path.name),
@@ -132,30 +131,21 @@ def read_entry(base: Path, path: str) -> RunEntry:
         return RunEntry.model_validate({**known, "problem": "; ".join(problems)})
 
 
-def _config(folder: RunFolder, problems: list[str]) -> dict[str, Any]:
+def _top_of_config(read: bytes) -> Any:
     """The few values at the top of a config that distinguish runs: the rest of it takes long to parse."""
-    try:
-        text = content(folder.config, _MOST_BYTES, kept=True).decode(errors="replace")
-        found = yaml.load("".join(match[0] for match in _TOP_LEVEL.finditer(text)), _LOADER)
-    except (OSError, UnusableInputError, yaml.YAMLError, ValueError, RecursionError) as error:
-        problems.append(f"{folder.config.name}: {one_line(error)}")
-        return {}
-    return _mapping(folder.config, found, problems)
+    return yaml.load("".join(match[0] for match in _TOP_LEVEL.finditer(read.decode(errors="replace"))), _LOADER)
 
 
-def _json(path: Path, problems: list[str]) -> dict[str, Any]:
-    try:
-        found = json.loads(content(path, _MOST_BYTES, kept=True))
-    except FileNotFoundError:
-        return {}
-    except (OSError, UnusableInputError, ValueError, RecursionError) as error:
-        problems.append(f"{path.name}: {one_line(error)}")
-        return {}
-    return _mapping(path, found, problems)
-
-
-def _mapping(path: Path, found: object, problems: list[str]) -> dict[str, Any]:
+def _mapping(
+    path: Path, parse: Callable[[bytes], object], problems: list[str], *, optional: bool = False
+) -> dict[str, Any]:
     """Content of a file, where it can be kept and shown: escapes may be of characters that no text has."""
+    try:
+        found = parse(content(path, _MOST_BYTES, kept=True))
+    except (OSError, UnusableInputError, yaml.YAMLError, ValueError, RecursionError) as error:
+        if not (optional and isinstance(error, FileNotFoundError)):
+            problems.append(f"{path.name}: {one_line(error)}")
+        return {}
     try:
         json.dumps(found, ensure_ascii=False, default=str).encode()
     except (ValueError, RecursionError):  # among them UnicodeEncodeError
@@ -200,15 +190,10 @@ def _began_s(folder: RunFolder, result: Mapping[str, Any]) -> float:
 def _size(path: Path) -> int:
     """Size of all files in a folder, bytes."""
     total = 0
-    try:
-        with os.scandir(path) as entries:
-            for entry in entries:
-                if entry.is_dir(follow_symlinks=False):
-                    total += _size(Path(entry.path))
-                else:
-                    total += entry.stat(follow_symlinks=False).st_size
-    except OSError:  # somebody removes it now
-        pass
+    with suppress(OSError):  # somebody removes it now
+        for below, _, names in os.walk(path):
+            for name in names:
+                total += os.lstat(f"{below}/{name}").st_size
     return total
 
 
