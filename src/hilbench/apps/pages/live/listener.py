@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from math import isfinite
 from typing import Any, Final
 
@@ -18,7 +19,8 @@ import numpy as np
 from hilbench.apps.library.live_run import LiveRun, continues
 from hilbench.apps.monitor.picture import START_ALL, BusPicture, Condition
 from hilbench.apps.pages.live.history import Entry, Events, History, Weight
-from hilbench.apps.pages.live.machines.kinds import live_panels, signals_of
+from hilbench.apps.report.chart import VARIABLES
+from hilbench.apps.report.panel import Interval, Panel, Series, panels_of
 from hilbench.arrays import Array
 from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
@@ -35,6 +37,47 @@ from hilbench.results.run_folder import RunFolder
 from hilbench.runs.events import EventLog
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.signal_kinds import TIME
+
+
+def live_panels(config: BenchConfig) -> list[Panel]:
+    """Panels of the page of a bench, with those of their series whose signals it has."""
+    names = {signal.name for signal in config.signals}
+    may_be_unknown = config.shape.has_stations
+    found = []
+    for panel in panels_of(config.machine.kind, config.shape).panels:
+        series = [each for each in panel.series if each.signal in names]
+        if not may_be_unknown:
+            series = [replace(each, deviation="") for each in series if each.estimated]
+        bands = [each for each in panel.bands if names.issuperset(filter(None, (each.signal, each.deviation)))]
+        if panel.live and series and names.issuperset(panel.needs):
+            found.append(replace(panel, series=series, bands=bands))
+    return found
+
+
+def signals_of(panels: Sequence[Panel]) -> list[str]:
+    """Signals that panels show, each once."""
+    shown = [(each.signal, each.deviation) for panel in panels for each in panel.series]
+    shown += [(each.signal, each.deviation) for panel in panels for each in panel.bands]
+    return list(dict.fromkeys(name for names in shown for name in names if name))
+
+
+def panel_data(panel: Panel, config: BenchConfig) -> dict[str, Any]:
+    """A panel for the page, with the levels of its limits."""
+    limits = getattr(config.safety.limits, panel.limits) if panel.limits else None
+    levels = {} if limits is None else {"warning": limits.warning, "trip": limits.trip}
+    return {
+        **{name: getattr(panel, name) for name in ("name", "title", "unit", "least", "least_share")},
+        "scale": panel.si_per_unit,
+        "limits": {name: level / panel.si_per_unit for name, level in levels.items() if level is not None},
+        "series": [_data(each, "name", "width", "dash", "estimated") for each in panel.series],
+        "bands": [_data(each, "share", "alpha") for each in panel.bands],
+    }
+
+
+def _data(shown: Series | Interval, *further: str) -> dict[str, Any]:
+    known = {name: getattr(shown, name) for name in ("signal", "deviation", *further)}
+    return {**known, "colour": VARIABLES[shown.colour]}
+
 
 #: Of what comes before the first SYNC, the drives' answers say their units.
 _MOST_WAITING: Final = 50_000

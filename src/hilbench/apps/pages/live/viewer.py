@@ -15,8 +15,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hilbench.apps.pages.live.controls import ControlAnswer, ControlLock, Viewer
 from hilbench.apps.pages.live.history import LEVELS, Stretches
-from hilbench.apps.pages.live.listener import Listener
-from hilbench.apps.pages.live.machines.kinds import panel_data
+from hilbench.apps.pages.live.listener import Listener, panel_data
 from hilbench.machine_kinds import machine_part
 
 #: How often stretches are sent, and the state, s.
