@@ -87,7 +87,7 @@ def write_diagnosis_page(shown: Found, title: str, path: Path, config: Path | No
         proposed=shown.proposed,
         rounds=shown.rounds,
         effects=_effects(found, changes=changes),
-        tied=[(_place(effect), effect) for effect in found.effects if effect.tied_with],
+        tied=[(effect.place.text, effect) for effect in found.effects if effect.tied_with],
         gaps=[
             (g.signal, *map(number, (g.before, g.after, g.noise_floor)), number(g.after / g.noise_floor, 3))
             for g in found.gaps
@@ -103,7 +103,7 @@ def write_diagnosis_page(shown: Found, title: str, path: Path, config: Path | No
         left=[(m.signal, m.condition, m.detail, number(m.excess, 3)) for m in found.unexplained],
         blind=[
             (
-                _place(b),
+                b.place.text,
                 b.experiment,
                 "never" if b.smallest_visible is None else f"{number(b.smallest_visible, 3)} {b.unit}",
             )
@@ -113,17 +113,15 @@ def write_diagnosis_page(shown: Found, title: str, path: Path, config: Path | No
     )
 
 
-def _place(effect: NamedEffect | Unobservable) -> str:
-    return effect.place.text
-
-
 def _effects(found: Diagnosis, *, changes: bool) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for effect in found.effects:
         for name, value in effect.parameters.items():
             best, low, high = (number(each, value.digits) for each in (value.value, *value.ci95))
             was = ("" if value.before is None else number(value.before),) if changes else ()
-            rows.append((_place(effect), name, "" if value.unit == "1" else value.unit, best, f"{low} to {high}", *was))
+            rows.append(
+                (effect.place.text, name, "" if value.unit == "1" else value.unit, best, f"{low} to {high}", *was)
+            )
     return rows
 
 

@@ -13,7 +13,6 @@ from typing import Annotated, Any, Final, Literal
 from urllib.parse import quote
 
 from pydantic import Field, ValidationError
-from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, Response
@@ -53,7 +52,7 @@ def folder_of(base: Path, name: str) -> RunFolder | None:
 def routes(base: Path, *, replays: bool = False) -> list[BaseRoute]:
     """The pages of the runs in a folder; `replays`: each can be played again."""
 
-    def all_runs() -> Response:
+    def show_all(request: Request) -> Response:
         try:
             runs = Library(base).runs()
         except UnusableInputError as error:
@@ -63,18 +62,12 @@ def routes(base: Path, *, replays: bool = False) -> list[BaseRoute]:
         policies = {"Content-Security-Policy": _LIST_POLICY + policy(scripts(program.file))}
         return HTMLResponse(runs_text(base, runs, runs, program), headers=policies)
 
-    def report_of(name: str) -> Response:
-        folder = folder_of(base, name)
+    def show_report(request: Request) -> Response:
+        folder = folder_of(base, request.path_params["name"])
         if folder is None or not folder.report.is_file():
             raise HTTPException(404, "no such report")
         policies = {"Content-Security-Policy": _REPORT_POLICY + policy(scripts())}
         return FileResponse(folder.report, media_type="text/html; charset=utf-8", headers=policies)
-
-    async def show_all(request: Request) -> Response:
-        return await run_in_threadpool(all_runs)
-
-    async def show_report(request: Request) -> Response:
-        return await run_in_threadpool(report_of, request.path_params["name"])
 
     listed = [Route("/runs", show_all), Route("/runs/{name:path}/report", show_report)]
     return [*listed, *(_replays(base) if replays else [])]
@@ -187,8 +180,8 @@ def _replays(base: Path) -> list[BaseRoute]:
     """The pages of the ended runs in a folder."""
     playing: set[Listener] = set()
 
-    async def show(request: Request) -> Response:
-        if await asyncio.to_thread(folder_of, base, request.path_params["name"]) is None:
+    def show(request: Request) -> Response:
+        if folder_of(base, request.path_params["name"]) is None:
             raise HTTPException(404, "no such run")
         return HTMLResponse(page_text("pages/front", live=True, replay=True))
 

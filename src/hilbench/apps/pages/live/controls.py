@@ -187,17 +187,12 @@ class Controls:
 
     def as_data(self) -> dict[str, Any]:
         """Possible requests, as data for the page."""
-        quantities = []
-        for key, quantity in self._changes.changeable.items():
-            low, high = self._changes.range_of(quantity)
-            known: dict[str, Any] = {"key": key, "title": quantity.title, "signal": quantity.signal}
-            known |= {
-                "unit": quantity.in_unit,
-                "low": low,
-                "high": high,
-                "foreseeable": key in self._changes.foreseeable,
-            }
-            quantities.append({**known, "scale": quantity.si_per_shown})
+        quantities = [
+            {"key": key, "title": quantity.title, "signal": quantity.signal, "unit": quantity.in_unit}
+            | dict(zip(("low", "high"), self._changes.range_of(quantity), strict=True))
+            | {"foreseeable": key in self._changes.foreseeable, "scale": quantity.si_per_shown}
+            for key, quantity in self._changes.changeable.items()
+        ]
         switches = [vars(switch) for switch in self._changes.switches.values()]
         return {"quantities": quantities, "switches": switches}
 
