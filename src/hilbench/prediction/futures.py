@@ -69,7 +69,8 @@ class Tally:
     def of(cls, watched: tuple[WatchedQuantity, ...], offsets: Offsets, z: Array, step_s: float, steps: int) -> Self:
         """Tally before the first step; z (B, Q): draws of the lasting offsets."""
         (b, q), every = z.shape, max(1, round(_ROW_S / step_s))
-        levels = _levels_of(watched)
+        # Warning and trip level of each (Q, 2); infinite where there is none.
+        levels = np.array([(each.warning or np.inf, each.trip or np.inf) for each in watched], float).reshape(-1, 2)
         vectors = TallyVectors(
             offset=np.ascontiguousarray(offsets.lasting + offsets.lasting_sd * z),
             noise=np.ascontiguousarray(offsets.noise),
@@ -96,11 +97,6 @@ def whole_step_s(fastest_per_s: float, horizon_s: float, most_s: float) -> float
     """Step of futures: as long as the fastest motion allows, `most_s` at most, and a whole part of the horizon."""
     longest_s = min(most_s, _SHARE_OF_FASTEST / fastest_per_s if fastest_per_s else most_s)
     return horizon_s / ceil(horizon_s / longest_s)
-
-
-def _levels_of(watched: Sequence[WatchedQuantity]) -> Array:
-    """Warning and trip level of each (Q, 2); infinite where there is none."""
-    return np.array([(each.warning or np.inf, each.trip or np.inf) for each in watched], float).reshape(-1, 2)
 
 
 Present = TypeVar("Present")
