@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from hilbench.apps.library.entry import RunEntry
+from hilbench.apps.library.index import RunEntry
 from hilbench.apps.library.runs_page import write_runs_page
 
 _RUNS = 900

@@ -13,7 +13,7 @@ from tests.cli.in_process import hilbench
 from tests.estimation.runs import NEW_PA, Array, measured, stepped, tracked
 from tests.plant.models import DEMONSTRATOR, model
 
-from hilbench.apps.sync.page import rows
+from hilbench.apps.sync.compare import rows
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.web_line.config import METHODS
 from hilbench.estimation.web_line.offline import Track, run_offline

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hilbench.apps.library.where import parse_condition
+from hilbench.apps.library.query import parse_condition
 from hilbench.errors import UnusableInputError
 
 RUN = {"E": 0.25, "noise": 0.02, "bench": "web", "tags": ("golden", "old"), "load.web.width_m": 0.6, "result": "passed"}

@@ -15,10 +15,8 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 from tests.pages.told_samples import keep
 
-from hilbench.apps.pages import replay
 from hilbench.apps.pages.access import Access
-from hilbench.apps.pages.replay import FAST, PlayedTrace
-from hilbench.apps.pages.runs import routes
+from hilbench.apps.pages.runs import FAST, PlayedTrace, routes
 from hilbench.apps.pages.server import site
 from hilbench.canopen.identifiers import SYNC
 from hilbench.results.recording import read_recording
@@ -34,7 +32,7 @@ Ran = tuple[LoadedConfig, RunOutcome]
 @pytest.fixture
 def client(ran: Ran) -> Iterator[TestClient]:
     access, base = Access("127.0.0.1", 8321), ran[1].folder.path.parent
-    with TestClient(site(access, [*routes(base, replays=True), *replay.routes(base)]), base_url=HERE) as client:
+    with TestClient(site(access, routes(base, replays=True)), base_url=HERE) as client:
         client.post("/session", headers={"Authorization": access.token, "Origin": HERE})
         yield client
 

@@ -14,9 +14,7 @@ import pytest
 
 from hilbench.apps.library.live_run import LiveRun
 from hilbench.apps.pages.live.history import History
-from hilbench.apps.pages.live.listener import event_of
-from hilbench.apps.pages.live.machines.kinds import live_panels, signals_of
-from hilbench.apps.pages.live.samples import LiveSamples
+from hilbench.apps.pages.live.listener import LiveSamples, event_of, live_panels, signals_of
 from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
 from hilbench.results.journal import append_to_journal

@@ -13,7 +13,7 @@ from hilbench.bench.prediction.web_line import LineLook
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
 from hilbench.prediction.config import PredictionConfig
-from hilbench.prediction.draws import normal_draws
+from hilbench.prediction.futures import normal_draws
 from hilbench.prediction.web_line import futures as line_futures
 from hilbench.prediction.web_line.futures import LineCourses, LineFutures, LinePresent
 from hilbench.runs.config import load_with_overrides

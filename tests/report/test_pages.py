@@ -10,10 +10,10 @@ import pytest
 from tests.report.parsed import EVIL, parsed
 
 from hilbench.apps.compare.page import ComparedRun, write_compare_page
-from hilbench.apps.diagnose.page import Found, write_diagnosis_page
+from hilbench.apps.diagnose.diagnose import Found, write_diagnosis_page
 from hilbench.apps.report import page as report_page
 from hilbench.apps.report.panel import ShownRun
-from hilbench.apps.sync.page import write_comparison
+from hilbench.apps.sync.compare import write_comparison
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Profile, Unobservable, Value
 from hilbench.diagnosis.residual_analysis import Misfit
 from hilbench.diagnosis.web_line_bench_gap import LiveFigure, LiveGap

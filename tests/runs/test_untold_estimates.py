@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hilbench.apps.monitor.picture import BusPicture
-from hilbench.apps.pages.live.machines.kinds import live_panels
+from hilbench.apps.pages.live.listener import live_panels
 from hilbench.apps.report.chart import Chart
 from hilbench.apps.report.machines.web_line import panels_of
 from hilbench.apps.report.panel import ShownRun

@@ -145,10 +145,11 @@ class Session:
         self._news = []
         if self._state == "watching":
             self._look()
-        if self._state == "naming":
-            self._name()
-        elif self._state == "trial":
-            self._try()
+        case = self._case
+        if self._state == "naming" and case is not None:
+            self._name(case)
+        elif self._state == "trial" and case is not None:
+            self._try(case)
         elif self._state == "waiting":
             self._pieces_calm = 0 if self._watch.in_a_row else self._pieces_calm + 1
             if self._pieces_calm >= ROW:
@@ -230,9 +231,7 @@ class Session:
 
     # -- naming ----------------------------------------------------------------------------------------------
 
-    def _name(self) -> None:
-        case = self._case
-        assert case is not None
+    def _name(self, case: _Case) -> None:
         if self._is_another(case):
             case = self._case = _Case(self._watch.begun_cycle, self._cycles(self._config.window_s))
             self._send("seen", case.begun, "model and measurement part again")
@@ -325,10 +324,8 @@ class Session:
 
     # -- trial -----------------------------------------------------------------------------------------------
 
-    def _try(self) -> None:
+    def _try(self, case: _Case) -> None:
         """Both models on data that neither has seen."""
-        case = self._case
-        assert case is not None
         assert case.candidate is not None
         end = self._window.end
         first = self._machine.quiet_cycle(self._window, case.trial, end)

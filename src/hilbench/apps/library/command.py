@@ -17,7 +17,7 @@ from hilbench.apps.cli.options import JsonOption, RunsOption, print_json
 from hilbench.errors import UnusableInputError, printable
 
 if TYPE_CHECKING:
-    from hilbench.apps.library.entry import RunEntry
+    from hilbench.apps.library.index import RunEntry
     from hilbench.apps.library.matrix import Matrix
     from hilbench.apps.library.query import Library
     from hilbench.results.run_folder import RunFolder

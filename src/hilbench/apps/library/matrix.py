@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from hilbench.apps.library.entry import RunEntry
+from hilbench.apps.library.index import RunEntry
 from hilbench.errors import UnusableInputError, one_line
 
 Cell = Literal["passed", "marginal", "failed", "error", "fault", ""]

@@ -8,8 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hilbench.apps.library.entry import RunEntry
-from hilbench.apps.library.index import is_run
+from hilbench.apps.library.index import RunEntry, is_run
 from hilbench.apps.library.live_run import continues
 from hilbench.errors import UnusableInputError
 from hilbench.files import usable

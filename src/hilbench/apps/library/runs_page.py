@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from hilbench.apps.library.entry import RunEntry
+from hilbench.apps.library.index import RunEntry
 from hilbench.apps.report.page import Program, page_text
 from hilbench.files import write_whole
 

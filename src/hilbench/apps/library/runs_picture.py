@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from hilbench.apps.library.entry import RunEntry
+from hilbench.apps.library.index import RunEntry
 from hilbench.apps.library.query import values_of
 from hilbench.apps.report.chart import BLUE, GREEN, INK, VERMILLION
 from hilbench.apps.report.plots import DrawnAxes, ImageFormat, Picture

@@ -78,14 +78,11 @@ class OperatorJournal:
 
         Raises UnusableInputError for a journal that can't be written.
         """
-        if (run := self._of_now()) is not None:
-            cycle = run.cycles(time.time_ns(), self._cycle_ns)
-            append_to_journal(run.folder.journal, Change(cycle, "asked", text, value, who=self.who))
-
-    def _of_now(self) -> LiveRun | None:
         if self._run is None or not self._run.continues:
             self._run = LiveRun.on(self._runs, self._channel)
-        return self._run
+        if (run := self._run) is not None:
+            cycle = run.cycles(time.time_ns(), self._cycle_ns)
+            append_to_journal(run.folder.journal, Change(cycle, "asked", text, value, who=self.who))
 
 
 @dataclass(frozen=True)
@@ -132,7 +129,10 @@ class ChangeRequests:
 
     def ask(self, quantity: MainQuantity, value: float, note: Note = _nowhere) -> Future[str]:
         """Ask for a value, in the quantity's unit, as soon as those before it have been answered."""
-        return self._noted(self._submit(self._thread, self._change, quantity, value), value, note)
+        (low, high), unit = self.range_of(quantity), quantity.in_unit
+        asked, expected = f"{quantity.title} {value:g} {unit}", f"{low:g} to {high:g} {unit}"
+        set_si = value * quantity.si_per_shown
+        return self._noted(self._submit(self._thread, self._write, quantity.path, asked, set_si, expected), value, note)
 
     def send(self, switch: Switch, on: bool, note: Note = _nowhere) -> Future[str]:
         """Answer yes or no, as soon as the request before has been answered."""
@@ -173,11 +173,6 @@ class ChangeRequests:
             thread.shutdown(cancel_futures=True)
         if self._client is not None:
             self._client.close()
-
-    def _change(self, quantity: MainQuantity, value: float) -> str:
-        low, high = self.range_of(quantity)
-        asked, expected = f"{quantity.title} {value:g} {quantity.in_unit}", f"{low:g} to {high:g} {quantity.in_unit}"
-        return self._write(quantity.path, asked, value * quantity.si_per_shown, expected)
 
     def _write(self, path: str, asked: str, value: float, expected: str) -> str:
         """SI; `asked` and `expected`: how the value and what may be asked for are called."""

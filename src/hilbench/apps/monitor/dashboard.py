@@ -130,7 +130,6 @@ class Dashboard(App[None]):
             self.bind(key, f"switch('{key}')", description=switch.title)
         if changes.foreseeable:
             self.bind(_WHAT_IF_KEY, "what_if", description="what if")
-        self._noted = 0
 
     def compose(self) -> ComposeResult:
         """The widgets."""
@@ -260,10 +259,7 @@ class Dashboard(App[None]):
         nodes.clear()
         for node in picture.nodes.values():
             nodes.add_row(*_row(node, picture.condition))
-        unseen = min(picture.fault_count - self._noted, len(picture.faults))
-        self._noted = picture.fault_count
-        new = list(picture.faults)[len(picture.faults) - unseen :]
-        self._write(f"cycle {note.cycle}  {note.part}: {note.text}" for note in new)
+        self._write(f"cycle {note.cycle}  {note.part}: {note.text}" for note in picture.new_faults())
 
     def _draw_trend(self, trend: Trend) -> None:
         # A sparkline starts at 0: what matters is how the signal moves above its least value.

@@ -73,56 +73,6 @@ class Condition(Enum):
     EMERGENCY_STOP = "E-STOP"
 
 
-class BenchWatch:
-    """Follows the frames of one bus; times are s of the monotonic clock."""
-
-    def __init__(self, master_id: int) -> None:
-        self._heartbeat = HEARTBEAT + master_id
-        self._sync_s: float | None = None
-        self._master_s: float | None = None
-        self._ended: Condition | None = None
-
-    def take(self, frame: Frame, now_s: float) -> None:
-        """Take a received frame."""
-        if frame.can_id == SYNC:
-            self._sync_s = now_s
-            if self._ended is Condition.ENDED:
-                self._ended = None  # another master released nodes: the bench goes on
-        elif frame.can_id == EMERGENCY_STOP_COB_ID:
-            self._ended = Condition.EMERGENCY_STOP
-        elif frame.can_id == NMT and len(frame.data) == 2:
-            self._command(frame.data[0], frame.data[1])
-        elif frame.can_id == self._heartbeat:
-            self._master_s = now_s
-
-    def _command(self, command: int, node_id: int) -> None:
-        if command == NmtCommand.START:
-            self._ended = None
-        elif command in _LET_GO and node_id == _ALL and self._ended is None and self._sync_s is not None:
-            self._ended = Condition.ENDED
-
-    def condition(self, now_s: float) -> Condition:
-        """Present condition of the bench."""
-        if self._ended is not None:
-            return self._ended
-        if self._sync_s is None:
-            return Condition.NOT_RECEIVED
-        return Condition.RUNNING if now_s - self._sync_s <= SILENCE_S else Condition.STALE
-
-    def text(self, now_s: float) -> str:
-        """The condition with what is known of it."""
-        alive = self._master_s is not None and now_s - self._master_s <= SILENCE_S
-        why = "the bench pauses" if alive else "nothing of the bench either"
-        known = {
-            Condition.EMERGENCY_STOP: ": an emergency stop was received, nodes are not started again yet",
-            Condition.ENDED: ": the bench has let its nodes go",
-            Condition.STALE: f": no SYNC for {now_s - (self._sync_s or 0.0):.0f} s, {why}",
-            Condition.NOT_RECEIVED: ": no SYNC on this bus yet (a run --in-process is on none)",
-        }
-        condition = self.condition(now_s)
-        return f"{condition.value}{known.get(condition, '')}"
-
-
 @dataclass
 class Trend:
     """One signal of the twin: its name in a recording, and its title for display."""
@@ -210,7 +160,6 @@ class BusPicture:
     config: BenchConfig
     cycles: int = 0  #: SYNCs received of this run
     faults: deque[FaultNote] = field(default_factory=lambda: deque(maxlen=_FAULTS_KEPT))
-    fault_count: int = 0  #: of all faults so far, also of those no longer kept
     every: int = 25  #: cycles between two points of a trend
 
     def __post_init__(self) -> None:
@@ -243,8 +192,12 @@ class BusPicture:
         self._bits: deque[int] = deque([0], maxlen=_WINDOW)
         self._sync_ns: deque[int] = deque(maxlen=_WINDOW)
         self._recent: deque[list[Frame]] = deque([[]], maxlen=_RECENT)  # from one SYNC to the next
-        self._watch = BenchWatch(self.config.master.node_id)
+        self._new_faults: deque[FaultNote] = deque(maxlen=_FAULTS_KEPT)
+        self._bench_heartbeat = HEARTBEAT + self.config.master.node_id
         self._now_s = time.monotonic()
+        self._sync_s: float | None = None  # when the last SYNC was received, and anything of the bench, s
+        self._master_s: float | None = None
+        self._ended: Condition | None = None
         self._received: dict[
             tuple[int | str, str], _Received
         ] = {}  # by node, and what: PDOs, heartbeat, the twin's answer
@@ -264,16 +217,18 @@ class BusPicture:
             self._recent[-1].append(frame)
             if frame.can_id & EXTENDED_FLAG:
                 continue
-            self._watch.take(frame, self._now_s)
-            if frame.can_id == NMT and frame.data == START_ALL:  # a bench begins
-                self.cycles = 0
-                self._received.clear()
+            if frame.can_id == NMT and len(frame.data) == 2:
+                self._command(*frame.data)
+            elif frame.can_id == EMERGENCY_STOP_COB_ID:
+                self._ended = Condition.EMERGENCY_STOP
             elif frame.can_id == SYNC:
                 self._sync(frame)
             elif node_of(frame.can_id, EMERGENCY):
                 self._emergency(frame)
             elif frame.can_id > HEARTBEAT:
                 heartbeats.append(frame)
+                if frame.can_id == self._bench_heartbeat:
+                    self._master_s = self._now_s
             else:
                 self._answered.add(frame.can_id)
                 last[frame.can_id] = frame.data
@@ -284,6 +239,15 @@ class BusPicture:
             self._mark_received(node_id, "heartbeat", _HEARTBEATS_MISSED * self._heartbeat_cycles)
             self._nmt(node_id, state)
         self._look_for_silence()
+
+    def _command(self, command: int, node_id: int) -> None:
+        if command == NmtCommand.START:
+            self._ended = None
+            if node_id == _ALL:  # a bench begins
+                self.cycles = 0
+                self._received.clear()
+        elif command in _LET_GO and node_id == _ALL and self._ended is None and self._sync_s is not None:
+            self._ended = Condition.ENDED
 
     def recent_frames(self) -> list[Frame]:
         """Frames of the last cycles, in the order in which they were received."""
@@ -332,12 +296,24 @@ class BusPicture:
     @property
     def condition(self) -> Condition:
         """Condition of the bench when frames were last taken."""
-        return self._watch.condition(self._now_s)
+        if self._ended is not None:
+            return self._ended
+        if self._sync_s is None:
+            return Condition.NOT_RECEIVED
+        return Condition.RUNNING if self._now_s - self._sync_s <= SILENCE_S else Condition.STALE
 
     @property
     def condition_text(self) -> str:
-        """Condition as text."""
-        return self._watch.text(self._now_s)
+        """The condition with what is known of it."""
+        alive = self._master_s is not None and self._now_s - self._master_s <= SILENCE_S
+        why = "the bench pauses" if alive else "nothing of the bench either"
+        known = {
+            Condition.EMERGENCY_STOP: ": an emergency stop was received, nodes are not started again yet",
+            Condition.ENDED: ": the bench has let its nodes go",
+            Condition.STALE: f": no SYNC for {self._now_s - (self._sync_s or 0.0):.0f} s, {why}",
+            Condition.NOT_RECEIVED: ": no SYNC on this bus yet (a run --in-process is on none)",
+        }
+        return f"{self.condition.value}{known.get(self.condition, '')}"
 
     @property
     def twin_is_alive(self) -> bool:
@@ -347,6 +323,9 @@ class BusPicture:
         return running and received is not None and not self._is_silent(received, running=running)
 
     def _sync(self, frame: Frame) -> None:
+        self._sync_s = self._now_s
+        if self._ended is Condition.ENDED:
+            self._ended = None  # another master released nodes: the bench goes on
         if self.cycles:
             self._look_at_answers()
         self.cycles += 1
@@ -408,8 +387,14 @@ class BusPicture:
         return [node for node in self.nodes.values() if node.node_id == node_id]
 
     def _note(self, part: str, text: str) -> None:
-        self.fault_count += 1
         self.faults.append(FaultNote(self.cycles, part, text))
+        self._new_faults.append(self.faults[-1])
+
+    def new_faults(self) -> list[FaultNote]:
+        """Faults since the last call, as far as they are kept."""
+        new = [*self._new_faults]
+        self._new_faults.clear()
+        return new
 
     # -- figures ---------------------------------------------------------------------------------------------
 

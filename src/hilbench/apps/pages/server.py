@@ -24,12 +24,11 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from hilbench.apps.library.live_run import LiveRun
 from hilbench.apps.monitor.changes import PATIENCE_S, ChangeRequests
-from hilbench.apps.pages import replay
-from hilbench.apps.pages import runs as runs_pages
 from hilbench.apps.pages.access import Access, Guard, session_opened
 from hilbench.apps.pages.live.controls import Controls
 from hilbench.apps.pages.live.listener import Listener
 from hilbench.apps.pages.live.viewer import Viewers
+from hilbench.apps.pages.runs import routes
 from hilbench.apps.report.page import page_text
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
@@ -80,14 +79,14 @@ def site(access: Access, rooms: Sequence[BaseRoute], viewers: Viewers | None = N
         assert viewers is not None, "the route is only there with them"
         await viewers.serve(socket)
 
-    routes: list[BaseRoute] = [
+    known: list[BaseRoute] = [
         Route("/", front),
         Route("/static/{name}", file),
         Route("/session", session, methods=["GET", "POST"]),
         *([WebSocketRoute("/live", live)] if viewers is not None else []),
         *rooms,
     ]
-    return Starlette(routes=routes, middleware=[Middleware(Guard, access=access)])
+    return Starlette(routes=known, middleware=[Middleware(Guard, access=access)])
 
 
 class _Connection(H11Protocol):
@@ -121,10 +120,7 @@ def serve(config: BenchConfig | None, runs: Path, host: str, port: int, announce
         access = Access(host, listening.getsockname()[1])
         viewers = None if config is None else resources.enter_context(_bench(config, runs))
         # Beside a bench nothing is played: it would take the processor from it, and could be taken for it.
-        rooms = (
-            runs_pages.routes(runs, replays=True) + replay.routes(runs) if config is None else runs_pages.routes(runs)
-        )
-        app = site(access, rooms, viewers)
+        app = site(access, routes(runs, replays=config is None), viewers)
         shown = f"[{host}]" if ":" in host else host
         announce(f"page: http://{shown}:{access.port}/#{access.token}")
         if host != LOOPBACK:

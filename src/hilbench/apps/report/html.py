@@ -20,11 +20,9 @@ from hilbench.arrays import Array
 from hilbench.files import make_folder, usable, written_whole
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
-from hilbench.results.provenance import Provenance
 from hilbench.results.recording import Recording, read_recording
-from hilbench.results.result import Environment, EventRecord, FoundRecord, GapHistory, Result, StepRecord, Timing
+from hilbench.results.result import EventRecord, FoundRecord, GapHistory, Result, StepRecord, Timing
 from hilbench.results.run_folder import RunFolder
-from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import find_events
 from hilbench.runs.metrics import OF_RUNS, all_metrics, find_metric, kind_of_figures, of_steps
 
@@ -160,7 +158,6 @@ def write_report(run_folder: RunFolder) -> Path:
         result=result,
         facts=_facts(result, recording),
         summary=_summary(result),
-        reason_of=_reason,
         faults=[(number(fault.time_s, 6), fault.source, fault.text) for fault in result.faults],
         pictures=pictures,
         found=[tuple(_row(each)) for each in result.found or []],
@@ -181,8 +178,6 @@ def write_report(run_folder: RunFolder) -> Path:
         most_rows=_MOST_ROWS,
         metrics=_metrics(result),
         timing=_timing(timing),
-        provenance=_provenance(result.provenance),
-        versions=_versions(result.environment),
         config=config,
     )
 
@@ -255,12 +250,6 @@ def _summary(result: Result) -> str:
     return ", ".join(parts)
 
 
-def _reason(criterion: CriterionResult) -> str:
-    """Text beside the verdict: step of the criterion, and reason."""
-    parts = [f"step {criterion.step}"] if criterion.step and criterion.value is not None else []
-    return "; ".join([*parts, criterion.reason] if criterion.reason else parts)
-
-
 def _warnings(result: Result) -> list[tuple[str, ...]]:
     """Warnings about the timing of the whole run, then each kind of warning with its count."""
     rows: list[tuple[str, ...]] = [("", "", text, "", "") for text in result.timing.warnings()]
@@ -313,28 +302,6 @@ def _timing(timing: Timing) -> list[tuple[str, str, str]]:
         for label, value in (("median", late.p50), ("99 %", late.p99), ("99.9 %", late.p999), ("largest", late.max)):
             rows.append((f"lateness of SYNC, {label}", number(value), "µs"))
     return rows
-
-
-def _provenance(provenance: Provenance | None) -> list[tuple[str, str]]:
-    if provenance is None:
-        return []
-    commit = provenance.git
-    return [
-        ("config", provenance.config),
-        ("git commit", "none" if commit is None else commit.commit + (", with changes" if commit.changed else "")),
-        ("host", provenance.host),
-        ("simulated hardware and twin", provenance.participants),
-        *((f"{each.key}, by {each.option}", str(each.value)) for each in provenance.overridden),
-        *((f"EDS of {', '.join(each.nodes)}", f"{each.file} sha256 {each.sha256}") for each in provenance.eds),
-    ]
-
-
-def _versions(environment: Environment | None) -> list[tuple[str, str]]:
-    if environment is None:
-        return []
-    versions = {"hilbench": environment.hilbench, "Python": environment.python, "system": environment.platform}
-    seed = "none" if environment.seed is None else str(environment.seed)
-    return [*(versions | environment.libraries).items(), ("seed", seed)]
 
 
 def _count(value: int | None) -> str:

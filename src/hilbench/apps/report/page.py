@@ -179,8 +179,13 @@ def page_text(
     shown = [picture for picture in zoomable if picture.charts]
     program = program or Program("report/live.js", _page_data(shown, marks) if shown else None)
     markup, rules = "" if program.data is None else program.markup(), policy(scripts(program.file))
+    return filled(template, scripts=markup, policy=rules, **data)
+
+
+def filled(template: str, **data: Any) -> str:
+    """Fill the template ``APP/NAME``."""
     app, name = template.split("/")
-    return _templates().get_template(f"{app}/templates/{name}.html.j2").render(scripts=markup, policy=rules, **data)
+    return _templates().get_template(f"{app}/templates/{name}.html.j2").render(**data)
 
 
 @cache

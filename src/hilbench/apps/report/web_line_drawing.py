@@ -64,6 +64,11 @@ class DrawnRoller:
     span: int  #: the one behind it
 
     @property
+    def on_carriage(self) -> bool:
+        """True if it is one of a dancer or an accumulator."""
+        return isinstance(self.roller.station, CarriageStation)
+
+    @property
     def is_reel(self) -> bool:
         """True if the web ends on it."""
         return isinstance(self.roller.station, Reel)
@@ -177,7 +182,7 @@ def _draw_roller(axes: Any, circle: DrawnRoller, notes: LineNotes) -> None:
     if circle.is_reel:
         for share in (0.45, 0.63, 0.81):
             axes.add_patch(Circle(centre, share * circle.r, fill=False, edgecolor=INK, linewidth=0.5, alpha=0.6))
-    name = "" if isinstance(circle.roller.station, CarriageStation) else circle.roller.name
+    name = "" if circle.on_carriage else circle.roller.name
     if axis is not None:
         axes.add_patch(Circle(centre, 0.07, facecolor=INK, edgecolor="none"))
         if axis in notes.loaded:

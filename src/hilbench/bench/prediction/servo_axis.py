@@ -12,10 +12,10 @@ from hilbench.bench.prediction.window import Reading, Window
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.shaft_limits import limited
 from hilbench.prediction.config import PredictionConfig
+from hilbench.prediction.futures import Offsets
 from hilbench.prediction.outlook import Outlook
 from hilbench.prediction.plan import Asked
 from hilbench.prediction.servo_axis.futures import ShaftCourses, ShaftFutures, ShaftPresent
-from hilbench.prediction.tally import Offsets
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED
 from hilbench.topology.sample import CycleSample

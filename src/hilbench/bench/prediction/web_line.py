@@ -20,9 +20,9 @@ from hilbench.control.web_line.strain_trajectory import strain_trajectory
 from hilbench.control.web_line.swing_damping import SwingDamping, SwingPlant
 from hilbench.control.web_line.tension import tension_controller
 from hilbench.prediction.config import PredictionConfig
+from hilbench.prediction.futures import Offsets
 from hilbench.prediction.outlook import Outlook
 from hilbench.prediction.plan import Asked, Move
-from hilbench.prediction.tally import Offsets
 from hilbench.prediction.web_line.futures import LineControl, LineCourses, LineFutures, LinePresent
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED

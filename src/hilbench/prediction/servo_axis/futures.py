@@ -19,11 +19,9 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigPa
 from hilbench.plant.servo_axis.shaft import look as look_at
 from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.plant.web_line import layout as line
-from hilbench.prediction.draws import normal_draws
-from hilbench.prediction.futures import Futures
+from hilbench.prediction.futures import Futures, Offsets, Tally, normal_draws, whole_step_s
 from hilbench.prediction.outlook import Outlook, WatchedQuantity
 from hilbench.prediction.servo_axis import kernel
-from hilbench.prediction.tally import Offsets, Tally, whole_step_s
 
 #: Inertia of a future is at least this share of the estimate.
 _LEAST_INERTIA_SHARE: Final = 0.05

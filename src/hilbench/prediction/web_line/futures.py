@@ -20,10 +20,8 @@ from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.prediction.draws import normal_draws
-from hilbench.prediction.futures import Futures
+from hilbench.prediction.futures import Futures, Offsets, Tally, normal_draws, whole_step_s
 from hilbench.prediction.outlook import Outlook, WatchedQuantity
-from hilbench.prediction.tally import Offsets, Tally, whole_step_s
 from hilbench.prediction.web_line import kernel
 
 #: Longest step, s: the drives' loops act once in it, and with more the torques where a ramp begins are off by more than

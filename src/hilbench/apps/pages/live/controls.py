@@ -123,17 +123,10 @@ def _rounded(values: np.ndarray[Any, Any]) -> list[float]:
     return [float(f"{value:.{_DIGITS}g}") for value in values]
 
 
-class Stop(Strict):
-    """Emergency stop; anybody who sees the page may."""
+class Named(Strict):
+    """Emergency stop, which anybody who sees the page may ask for; or control, or to hold it longer."""
 
-    do: Literal["stop"]
-    name: Name
-
-
-class Take(Strict):
-    """Control, or hold it longer."""
-
-    do: Literal["take"]
+    do: Literal["stop", "take"]
     name: Name
 
 
@@ -143,10 +136,10 @@ class Give(Strict):
     do: Literal["give"]
 
 
-class Set(Strict):
-    """Another value of a quantity, in its unit."""
+class Valued(Strict):
+    """Another value of a quantity, in its unit; or the outcome of one, which moves nothing."""
 
-    do: Literal["set"]
+    do: Literal["set", "what_if"]
     key: Key
     value: Number
 
@@ -159,15 +152,7 @@ class Answer(Strict):
     yes: bool
 
 
-class WhatIf(Strict):
-    """Request to predict the outcome of another value; moves nothing."""
-
-    do: Literal["what_if"]
-    key: Key
-    value: Number
-
-
-Action = Stop | Take | Give | Set | Answer | WhatIf
+Action = Named | Give | Valued | Answer
 _ACTION: Final[TypeAdapter[Action]] = TypeAdapter(Annotated[Action, Field(discriminator="do")])
 
 
@@ -202,17 +187,12 @@ class Controls:
 
     def as_data(self) -> dict[str, Any]:
         """Possible requests, as data for the page."""
-        quantities = []
-        for key, quantity in self._changes.changeable.items():
-            low, high = self._changes.range_of(quantity)
-            known: dict[str, Any] = {"key": key, "title": quantity.title, "signal": quantity.signal}
-            known |= {
-                "unit": quantity.in_unit,
-                "low": low,
-                "high": high,
-                "foreseeable": key in self._changes.foreseeable,
-            }
-            quantities.append({**known, "scale": quantity.si_per_shown})
+        quantities = [
+            {"key": key, "title": quantity.title, "signal": quantity.signal, "unit": quantity.in_unit}
+            | dict(zip(("low", "high"), self._changes.range_of(quantity), strict=True))
+            | {"foreseeable": key in self._changes.foreseeable, "scale": quantity.si_per_shown}
+            for key, quantity in self._changes.changeable.items()
+        ]
         switches = [vars(switch) for switch in self._changes.switches.values()]
         return {"quantities": quantities, "switches": switches}
 
@@ -231,12 +211,12 @@ class Controls:
             return ControlAnswer(str(error), False)
 
     async def _do(self, viewer: Viewer, action: Action) -> ControlAnswer:
-        if isinstance(action, Stop):
-            return await asyncio.to_thread(self._stop, viewer, action.name)
-        if isinstance(action, WhatIf):
-            return await self._look_ahead(action)
-        if isinstance(action, Take):
+        if isinstance(action, Named):
+            if action.do == "stop":
+                return await asyncio.to_thread(self._stop, viewer, action.name)
             return self._take(viewer, action.name)
+        if isinstance(action, Valued) and action.do == "what_if":
+            return await self._look_ahead(action)
         if isinstance(action, Give):
             name = self.control_lock.name
             if not self.control_lock.give_back(viewer.secret):
@@ -265,19 +245,19 @@ class Controls:
             self._listener.note(viewer.named(name), "control taken")
         return ControlAnswer("you control", True)
 
-    async def _change(self, who: str, action: Set | Answer) -> ControlAnswer:
-        known = self._changes.changeable if isinstance(action, Set) else self._changes.switches
+    async def _change(self, who: str, action: Valued | Answer) -> ControlAnswer:
+        known = self._changes.changeable if isinstance(action, Valued) else self._changes.switches
         if action.key not in known:
             return ControlAnswer(f"'{action.key}', expected one of {', '.join(known)}", False)
         note = partial(self._listener.note, who)
-        if isinstance(action, Set):
+        if isinstance(action, Valued):
             future = self._changes.ask(self._changes.changeable[action.key], action.value, note)
         else:
             future = self._changes.send(self._changes.switches[action.key], action.yes, note)
         answer = await self._ended(future)
         return ControlAnswer(answer, answer.endswith(": set"))
 
-    async def _look_ahead(self, action: WhatIf) -> ControlAnswer:
+    async def _look_ahead(self, action: Valued) -> ControlAnswer:
         if action.key not in self._changes.foreseeable:
             return ControlAnswer(f"'{action.key}', expected one of {', '.join(self._changes.foreseeable)}", False)
         quantity = self._changes.foreseeable[action.key]

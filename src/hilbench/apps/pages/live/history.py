@@ -101,9 +101,6 @@ class _Ring:
         at = np.arange(first, last) % len(self._t_s)
         return self._t_s[at], self._values[at]
 
-    def clear(self) -> None:
-        self.count = 0
-
 
 class _Level:
     """Stretches of so many samples."""
@@ -134,10 +131,6 @@ class _Level:
         t_s, values = self._ring.part(first, self._ring.count)
         return Stretches(first, t_s, values[:, : self._columns].T, values[:, self._columns :].T)
 
-    def clear(self) -> None:
-        self._ring.clear()
-        self._waiting, self._waiting_rows = [], 0
-
 
 class History:
     """Recent signals of these names. `generation` counts the runs that it has seen."""
@@ -145,6 +138,11 @@ class History:
     def __init__(self, names: Sequence[str], cycle_s: float) -> None:
         self.names = tuple(names)
         self.generation = 0
+        self._cycle_s = cycle_s
+        self._begin()
+
+    def _begin(self) -> None:
+        cycle_s = self._cycle_s
         self.t_s = float("nan")  #: of the last sample
         self._full = _Ring(min(round(_FULL_S / cycle_s), _MOST_SAMPLES), len(self.names))
         self._levels = [
@@ -188,7 +186,4 @@ class History:
     def clear(self) -> None:
         """Another run begins."""
         self.generation += 1
-        self.t_s = float("nan")
-        self._full.clear()
-        for level in self._levels:
-            level.clear()
+        self._begin()

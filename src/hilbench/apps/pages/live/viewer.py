@@ -15,8 +15,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hilbench.apps.pages.live.controls import ControlAnswer, ControlLock, Viewer
 from hilbench.apps.pages.live.history import LEVELS, Stretches
-from hilbench.apps.pages.live.listener import Listener
-from hilbench.apps.pages.live.machines.kinds import drawing_of, panel_data
+from hilbench.apps.pages.live.listener import Listener, panel_data
+from hilbench.machine_kinds import machine_part
 
 #: How often stretches are sent, and the state, s.
 _TICK_S: Final = 0.05
@@ -144,7 +144,7 @@ class Viewers:
             "cycle_s": config.cycle_time_s,
             "signals": listener.history.names,
             "plots": [panel_data(panel, config) for panel in listener.panels],
-            "drawing": drawing_of(config),
+            "drawing": machine_part(config.machine.kind, "page").drawing(config),
             "parts": {
                 part.name: "virtual" if part.is_virtual else "simulated" if part.is_simulated else "real"
                 for part in config.parts
