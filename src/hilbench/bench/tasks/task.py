@@ -5,10 +5,10 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Generic, Literal, Protocol, TypeVar
 
-from hilbench.cycle_program import CompiledStage
+from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.sample import CycleSample
 
@@ -127,12 +127,17 @@ class SettableQuantity(Protocol):
         """Another value from the next cycle on."""
 
 
-class SetPoints:
-    """Settable quantities of a task, see `SettableQuantity`: values by path, the set-point first."""
+class SensedLoop(StagedTask):
+    """Loop of a set-point, in Python, from what sensors report; it owns settable quantities, see `SettableQuantity`.
 
-    def __init__(self, values: dict[str, float]) -> None:
+    `values`: by path, the set-point first; `recorded`: signal that shows the set-point, "" for none; `shown`: signals
+    that hold the task's outputs, by output name.
+    """
+
+    def __init__(self, values: dict[str, float], recorded: str, shown: Mapping[str, str]) -> None:
         super().__init__()
-        self._values = values
+        self._values, self._recorded, self._shown = values, recorded, shown
+        self._reported = False  # the sensors have, since the drives were enabled
 
     @property
     def _set_point(self) -> float:
@@ -149,3 +154,32 @@ class SetPoints:
     def set(self, path: str, value: float) -> None:
         """Another one."""
         self._values[path] = value
+
+    @abstractmethod
+    def _control(self, sample: CycleSample) -> None:
+        """Command from the last sample."""
+
+    def _record(self, sample: CycleSample) -> None:
+        if self._recorded:
+            setattr(sample, self._recorded, self._set_point)
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Record the set-point; the sensors report now."""
+        self._reported = True
+        self._record(sample)
+
+    def stages(self, sample: CycleSample) -> CompiledStages:
+        """Python's stage that commands; the sample shows the set-point, and keeps it."""
+
+        def cycles() -> int:
+            recorded = not self._recorded or getattr(sample, self._recorded) == self._set_point
+            return MANY if self._reported and recorded else 0
+
+        return CompiledStages(
+            before=[python_stage(partial(self._control, sample))], cycles=cycles, shown=dict(self._shown)
+        )
+
+    def rest(self, sample: CycleSample, outputs: Outputs) -> None:
+        """All is as at the start when the drives are enabled again."""
+        self._reported = False
+        self._record(sample)
