@@ -6,11 +6,11 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Generic, Literal, Protocol, TypeVar
+from typing import Literal, Protocol
 
 from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.exchange.exchange import Inputs
-from hilbench.topology.sample import CycleSample
+from hilbench.topology.sample import CycleSample, PerSample
 
 #: What goes to the nodes with the next SYNC, SI: set points by the names of the drives (velocity on the side of the
 #: machine, or torque at the shaft), and what the twin gets to know, by the names of the signals.
@@ -38,24 +38,6 @@ class CompiledStages:
     cycles: Callable[[], int] = lambda: MANY
     went: Callable[[int], None] = _nothing
     shown: Mapping[str, str] = field(default_factory=dict)
-
-
-Made = TypeVar("Made")
-
-
-class PerSample(Generic[Made]):
-    """Cache of an object made on the vectors of a sample, which is mostly the same one."""
-
-    def __init__(self, make: Callable[[CycleSample], Made]) -> None:
-        self._make = make
-        self._sample: CycleSample | None = None
-        self._made: Made
-
-    def __call__(self, sample: CycleSample) -> Made:
-        """Object for this sample."""
-        if sample is not self._sample:
-            self._made, self._sample = self._make(sample), sample
-        return self._made
 
 
 class CyclicTask:
