@@ -13,7 +13,7 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import LineCarriage
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import CarriageForceConfig
-from hilbench.topology.web_line_positions import FORCE_SET_POINT, position_path
+from hilbench.topology.web_line_quantities import FORCE_SET_POINT, position_path
 
 
 class CarriageForceTask(SensedLoop):

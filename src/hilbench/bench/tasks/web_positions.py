@@ -12,7 +12,7 @@ from hilbench.errors import BenchFaultError
 from hilbench.plant.web_line.stations import LineCarriage
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import PositionControlConfig
-from hilbench.topology.web_line_positions import FEED, SET_POINT, position_path
+from hilbench.topology.web_line_quantities import FEED, SET_POINT, position_path
 
 #: So near to a stop a carriage is at it.
 _AT_STOP_M = 5e-4
