@@ -23,6 +23,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from itertools import islice, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -57,20 +58,6 @@ MAX_CLIENTS = 128
 
 class Client(Station):
     """One connection; a station on the wire once it has joined."""
-
-    __slots__ = (
-        "blocked",
-        "connection",
-        "dropped",
-        "fd",
-        "filters",
-        "identity",
-        "joined",
-        "limit",
-        "reading",
-        "receive_own",
-        "waiting",
-    )
 
     def __init__(self, connection: socket.socket, identity: int) -> None:
         super().__init__()
@@ -489,7 +476,7 @@ class Hub:
         client.joined = True
         self._fd = (self._fd and not alone) or client.fd
         self._medium.join(client)
-        return {"version": protocol.VERSION, "station": client.identity, **self.settings.as_json()}
+        return {"version": protocol.VERSION, "station": client.identity, **asdict(self.settings)}
 
     def _programs(self) -> str:
         """Programs of the stations, as the kernel knows them."""
@@ -499,15 +486,11 @@ class Hub:
         return ", ".join(f"{command_line(pid) or 'a program'} (process {pid})" for pid in sorted(pids))
 
     def _statistics(self, _: Client) -> dict[str, Any]:
-        counters = self._medium.counters
         real = self.settings.timing == "real"
         return {
-            **self.settings.as_json(),
+            **asdict(self.settings),
+            **asdict(self._medium.counters),
             "stations": sum(client.joined for client in self._clients.values()),
-            "frames": counters.frames,
-            "bits": counters.bits,
-            "error_frames": counters.error_frames,
-            "lost": counters.lost,
             "dropped": sum(client.dropped for client in self._clients.values()),
             "malformed": self.malformed,
             "time_ns": (self._now_ns() if real else self._medium.free_ns) - self._medium.start_ns,

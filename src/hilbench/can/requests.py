@@ -27,9 +27,6 @@ class Settings:
     data_bitrate: int = DEFAULT_DATA_BITRATE
     timing: str = "real"
 
-    def as_json(self) -> dict[str, Any]:
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class Wanted:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from functools import partial
 
 from hilbench.canopen.identifiers import COB_ID, INVALID, is_restricted
 from hilbench.canopen.object_store import INVALID_VALUE, NO_DATA, ObjectStore, SdoAbort
@@ -48,7 +49,7 @@ class EmergencyProducer:
         if self._count is not None:
             self._count.on_write = self._clear_history
         for place, entry in enumerate(self._history):
-            entry.on_read = self._reader(place)
+            entry.on_read = partial(self._read, place)
         if self._cob_id is not None:
             self._cob_id.on_write = self._check_cob_id
 
@@ -169,15 +170,11 @@ class EmergencyProducer:
         self._history[0].value = code | int.from_bytes(info[:2].ljust(2, b"\0"), "little") << 16
         self._count.value = min(self._count.value + 1, len(self._history))
 
-    def _reader(self, place: int) -> Callable[[], int]:
+    def _read(self, place: int) -> int:
         """An entry of 1003h has no data before so many errors have come."""
-
-        def read() -> int:
-            if self._count is None or place >= self._count.value:
-                raise SdoAbort(NO_DATA)
-            return int(self._history[place].value)
-
-        return read
+        if self._count is None or place >= self._count.value:
+            raise SdoAbort(NO_DATA)
+        return int(self._history[place].value)
 
     def _clear_history(self, value: int) -> None:
         if value != 0:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from hilbench.canopen.data_types import DataType
 from hilbench.canopen.object_store import INCOMPATIBLE, Cell, ObjectStore, SdoAbort
@@ -67,7 +68,7 @@ class HeartbeatConsumer:
         self._on_back = on_back
         self._watches: dict[int, _Watch] = {}
         for entry in self._entries:
-            entry.on_write = self._checker(entry)
+            entry.on_write = partial(self._check, entry)
 
     def times_ns(self) -> dict[int, int]:
         """Consumer heartbeat time by node id, of the entries in use."""
@@ -111,18 +112,13 @@ class HeartbeatConsumer:
         """Watch no node until its heartbeat is received again."""
         self._watches.clear()
 
-    def _checker(self, own: Cell) -> Callable[[int], None]:
-        def check(value: int) -> None:
-            node_id = value >> 16 & 0xFF
-            if value & 0xFFFF and any(
-                entry is not own and entry.value & 0xFFFF and entry.value >> 16 & 0xFF == node_id
-                for entry in self._entries
-            ):
-                raise SdoAbort(INCOMPATIBLE)
-            for changed in {node_id, own.value >> 16 & 0xFF}:
-                self._forget(changed)
-
-        return check
+    def _check(self, own: Cell, value: int) -> None:
+        node_id = value >> 16 & 0xFF
+        others = (entry.value for entry in self._entries if entry is not own)
+        if value & 0xFFFF and any(other & 0xFFFF and other >> 16 & 0xFF == node_id for other in others):
+            raise SdoAbort(INCOMPATIBLE)
+        for changed in {node_id, own.value >> 16 & 0xFF}:
+            self._forget(changed)
 
     def _forget(self, node_id: int) -> None:
         """Stop watching a node until its heartbeat is received again; one that is not watched is not missed."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 from hilbench.canopen.object_store import CANNOT_STORE, ObjectStore, SdoAbort
@@ -26,13 +27,10 @@ class Storage:
         self._store = store
         self._path = path
         self._stored: dict[str, str] = self._read()
-        for sub, area in _AREAS.items():
-            if (0x1010, sub) in store:
-                cell = store.cell(0x1010, sub)
-                cell.on_write, cell.on_read = self._saver(area), lambda: _ON_COMMAND
-            if (0x1011, sub) in store:
-                cell = store.cell(0x1011, sub)
-                cell.on_write, cell.on_read = self._loader(area), lambda: _ON_COMMAND
+        for (sub, area), (index, do) in product(_AREAS.items(), ((0x1010, self._save), (0x1011, self._load))):
+            if (index, sub) in store:
+                cell = store.cell(index, sub)
+                cell.on_write, cell.on_read = partial(do, area), lambda: _ON_COMMAND
 
     def apply(self, first: int, last: int) -> None:
         """Apply stored values to the objects first to last after a reset, in place of the defaults."""
@@ -48,32 +46,25 @@ class Storage:
                         f"{key} is '{text}', expected a value of '{cell.variable.name}'",
                     ) from error
 
-    def _saver(self, area: tuple[int, int]) -> Callable[[int], None]:
-        def save(signature: int) -> None:
-            if signature != _SAVE:
-                raise SdoAbort(CANNOT_STORE)
-            for cell in self._store:
-                index, sub = cell.variable.index, cell.variable.subindex
-                if (
-                    area[0] <= index <= area[1]
-                    and index not in NO_PARAMETERS
-                    and cell.variable.access_type in ("rw", "rww", "rwr")
-                ):
-                    self._stored[f"{index:04X}:{sub:02X}"] = cell.encode().hex()
-            self._write()
+    def _save(self, area: tuple[int, int], signature: int) -> None:
+        if signature != _SAVE:
+            raise SdoAbort(CANNOT_STORE)
+        for cell in self._store:
+            index, sub = cell.variable.index, cell.variable.subindex
+            if (
+                area[0] <= index <= area[1]
+                and index not in NO_PARAMETERS
+                and cell.variable.access_type in ("rw", "rww", "rwr")
+            ):
+                self._stored[f"{index:04X}:{sub:02X}"] = cell.encode().hex()
+        self._write()
 
-        return save
-
-    def _loader(self, area: tuple[int, int]) -> Callable[[int], None]:
-        def load(signature: int) -> None:
-            if signature != _LOAD:
-                raise SdoAbort(CANNOT_STORE)
-            self._stored = {
-                key: text for key, text in self._stored.items() if not area[0] <= int(key[:4], 16) <= area[1]
-            }
-            self._write()
-
-        return load
+    def _load(self, area: tuple[int, int], signature: int) -> None:
+        if signature != _LOAD:
+            raise SdoAbort(CANNOT_STORE)
+        kept = {key: text for key, text in self._stored.items() if not area[0] <= int(key[:4], 16) <= area[1]}
+        self._stored = kept
+        self._write()
 
     def _read(self) -> dict[str, str]:
         if self._path is None or not self._path.exists():

@@ -1,12 +1,13 @@
-"""Addressing and configuration of a bench's participants: PDOs of the virtual I/O, settings of the drives."""
+"""Addressing and configuration of a bench's participants: PDOs of the virtual I/O, settings of the drives, clock."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import canopen
+from hilbench.canopen.clock import Clock, MonotonicClock, SyncClock
 from hilbench.canopen.eds import shared_eds
-from hilbench.canopen.identifiers import RPDOS, TPDOS
+from hilbench.canopen.identifiers import HEARTBEAT, RPDOS, TPDOS
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
 from hilbench.cia402.axis import object_of, rpdo_identifier
@@ -83,6 +84,13 @@ def _tpdo_id(config: BenchConfig, number: int) -> int:
     axes = config.parts_of(Role.VIRTUAL_AXIS)
     function, axis = divmod(number - len(TPDOS) - 1, len(axes))
     return TPDOS[3 - function] + axes[axis].node.node_id
+
+
+def device_clock(config: BenchConfig) -> Clock:
+    """The time base of simulated devices and virtual axes: SYNC in lockstep, else the monotonic clock."""
+    if config.pace != "lockstep":
+        return MonotonicClock()
+    return SyncClock(config.cycle_ns, kept_by=HEARTBEAT + config.master.node_id if config.master.heartbeat_ms else None)
 
 
 def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary) -> DriveSettings:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from hilbench.can.frame import Frame
-from hilbench.canopen.identifiers import SDO_ANSWER, SDO_REQUEST
+from hilbench.canopen.identifiers import SDO_REQUEST
 from hilbench.canopen.object_store import ObjectStore
 from hilbench.canopen.sdo_server import DeviceSdoServer
 
@@ -35,8 +35,3 @@ class MasterNode:
         """Take the SDO answers to send with the next cycle."""
         answers, self._answers = self._answers, []
         return answers
-
-
-def answer_id(node_id: int) -> int:
-    """COB-ID of the node's answers, which the bench sends."""
-    return SDO_ANSWER + node_id

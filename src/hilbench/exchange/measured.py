@@ -25,7 +25,7 @@ from hilbench.compiled import (
 )
 from hilbench.cycle_program import CONTINUE, CompiledStage, never
 from hilbench.topology.process_data.table import SimulatedTorque
-from hilbench.topology.sample import CycleSample
+from hilbench.topology.sample import CycleSample, PerSample
 
 #: What is measured of a drive (SI), and where that is in a sample (-1: nowhere).
 _OF_DRIVE = "position", "velocity", "torque", "statusword"
@@ -156,8 +156,8 @@ class Measured:
         )
         self._table = table_of(self.from_twin)
         self._places = np.array(places, _PLACES), kind.places(names), np.array([each.rad_per_unit for each in drives])
-        self._filled: CycleSample | None = None
-        self._filling: CompiledStage
+        #: Compiled stage that writes into a sample as `fill` does.
+        self.filling = PerSample(self._filling)
 
     def count(self, cycles: int, bits: int) -> None:
         """Set the number of cycles run and the bits of the last one."""
@@ -172,16 +172,12 @@ class Measured:
         """Write into a sample: SI, positions and velocities in the machine's unit; and the twin's status."""
         self.filling(sample)()
 
-    def filling(self, sample: CycleSample) -> CompiledStage:
-        """Compiled stage that writes into a sample as `fill` does."""
-        if sample is not self._filled:
-            of_drives = self.of_drives.view(_DRIVE)
-            arrays = _Sample(
-                of_drives, self.virtual_io, self.counted, *self._places, values=sample.reals, words=sample.wholes
-            )
-            place = type(sample).place("twin_status")
-            self._filled, self._filling = sample, CompiledStage(_fill, place, arrays, fallback=never)
-        return self._filling
+    def _filling(self, sample: CycleSample) -> CompiledStage:
+        of_drives = self.of_drives.view(_DRIVE)
+        arrays = _Sample(
+            of_drives, self.virtual_io, self.counted, *self._places, values=sample.reals, words=sample.wholes
+        )
+        return CompiledStage(_fill, type(sample).place("twin_status"), arrays, fallback=never)
 
 
 def warm_up() -> None:

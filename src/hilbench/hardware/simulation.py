@@ -17,8 +17,7 @@ from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.master_guard import nodes_of_ours
 from hilbench.canopen.object_store import INVALID_VALUE, SdoAbort
 from hilbench.cia402.simulated import SimulatedDrive
-from hilbench.exchange.addressing import declared_units
-from hilbench.exchange.device_clock import device_clock
+from hilbench.exchange.addressing import declared_units, device_clock
 from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.fast_path.host import FastPathHost, PacketRun, run_devices, warm_up_packets
 from hilbench.fast_path.host_cycle import RigFastCycle, SyncAnswers

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +29,8 @@ _MOST_TEXT = 1_000_000_000
 _HEAD_BYTES = 64 + 104  # identification block and header block (ASAM MDF 4: IDBLOCK, HDBLOCK)
 
 
-class MdfChannels(NamedTuple):
-    """Channels of a file by name, (n,) each, the time first; their units; when it was begun, and its comment."""
-
-    channels: dict[str, NDArray[Any]]
-    units: dict[str, str]
-    start_time: datetime
-    comment: str
+#: Channels of a file by name, (n,) each, the time first; their units; when it was begun, and its comment.
+MdfChannels = tuple[dict[str, NDArray[Any]], dict[str, str], datetime, str]
 
 
 def read_mdf(path: Path) -> MdfChannels:
@@ -158,4 +153,4 @@ def _channels(mdf: Any, path: Path) -> MdfChannels:
         if signal.name != TIME:
             channels[signal.name] = np.array(signal.samples)
             units[signal.name] = signal.unit
-    return MdfChannels(channels, units, mdf.start_time.astimezone(UTC), mdf.header.description or "")
+    return channels, units, mdf.start_time.astimezone(UTC), mdf.header.description or ""

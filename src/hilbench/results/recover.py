@@ -33,7 +33,6 @@ from hilbench.cia402.configuration import DriveSettings, default_reader
 from hilbench.cia402.state_machine import State
 from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.exchange.master_node import answer_id
 from hilbench.exchange.nodes import Nodes
 from hilbench.files import usable
 from hilbench.machine_kinds import machine_part
@@ -69,7 +68,7 @@ class CycleFrames:
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was found of a run beside its samples."""
+    """What was found of a run, beside its samples unless they are rebuilt."""
 
     started: datetime  #: time of the first SYNC
     samples: int
@@ -217,7 +216,7 @@ class CycleSplitter:
 
     def __init__(self, nodes: Nodes) -> None:
         master_id = nodes.config.master.node_id
-        self._own = {HEARTBEAT + master_id, answer_id(master_id), *(pdo.cob_id for pdo in nodes.io.boundary)}
+        self._own = {HEARTBEAT + master_id, SDO_ANSWER + master_id, *(pdo.cob_id for pdo in nodes.io.boundary)}
         self._own |= {cob_id for drive in nodes.drives for cob_id in drive.rpdo_cob_ids}
         self._first = nodes.axes[0].pdos.rpdo.cob_id
         self.current = CycleFrames()

@@ -23,8 +23,14 @@ from hilbench.runs.drive_check import beyond, max_motor_speed_rpm, torque_limit_
 from hilbench.runs.set_point_schedule import Move, State, start_of
 from hilbench.strict_yaml import Location
 from hilbench.topology.parts import Role
-from hilbench.topology.web_line_positions import FEED, FORCE_SET_POINT, position_path
-from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span, tension_set_point
+from hilbench.topology.web_line_quantities import (
+    FEED,
+    FORCE_SET_POINT,
+    YOUNGS_MODULUS,
+    modulus_of_span,
+    position_path,
+    tension_set_point,
+)
 
 #: A difference that makes no other operating point.
 _SAME_SPEED_M_S = 0.05

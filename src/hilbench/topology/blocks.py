@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal, Union
 
-from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from hilbench.block import Block
 from hilbench.can.open import BusAddress
@@ -92,14 +92,18 @@ class HiddenEffect(EffectEntry):
         return effect.axis_problem(self.axis) or effect.section_problem(self.section) or effect.problem(self.parameters)
 
 
-def _possible_effects(entries: list[HiddenEffect], place: EffectPlace) -> list[HiddenEffect]:
+def _possible_at(place: EffectPlace) -> AfterValidator:
     """Check that there is a kind of machine that can have each entry; which one it is, the whole config decides."""
-    for entry in entries:
-        at = entry.effect, entry.axis, place, None, None
-        problems = [effect_problem(*at, kind, section=entry.section) for kind in MachineKind]
-        if all(problems):
-            raise ValueError(problems[0])
-    return entries
+
+    def check(entries: list[HiddenEffect]) -> list[HiddenEffect]:
+        for entry in entries:
+            at = entry.effect, entry.axis, place, None, None
+            problems = [effect_problem(*at, kind, section=entry.section) for kind in MachineKind]
+            if all(problems):
+                raise ValueError(problems[0])
+        return entries
+
+    return AfterValidator(check)
 
 
 class HardwareConfig(Block):
@@ -111,12 +115,9 @@ class HardwareConfig(Block):
         "the machine's unless given",
     )
     sensors: SensorParameters = SensorParameters(torque_noise_Nm=0.05, velocity_noise_rad_s=0.002)
-    effects: list[HiddenEffect] = Field(default=[], description="hidden in the simulated axes")
-
-    @field_validator("effects")
-    @classmethod
-    def _of_axes(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
-        return _possible_effects(entries, EffectPlace.HARDWARE)
+    effects: Annotated[list[HiddenEffect], _possible_at(EffectPlace.HARDWARE)] = Field(
+        default=[], description="hidden in the simulated axes"
+    )
 
 
 class LoadShaftConfig(Block):
@@ -135,7 +136,9 @@ class LoadConfig(Block):
 
     web: LoadWebConfig = LoadWebConfig()
     shaft: LoadShaftConfig = LoadShaftConfig()
-    effects: list[HiddenEffect] = Field(default=[], description="hidden in the emulated mechanics")
+    effects: Annotated[list[HiddenEffect], _possible_at(EffectPlace.LOAD)] = Field(
+        default=[], description="hidden in the emulated mechanics"
+    )
     fmu: FmuLoadConfig | None = Field(
         default=None, description="an FMU that the load motors emulate, in the place of what `machine:` describes"
     )
@@ -145,11 +148,6 @@ class LoadConfig(Block):
         "their radius, idlers that are load cells: emulated as the machine is, its value is the signal x_NAME_meas_m, "
         "r_NAME_meas_m or F_NAME_meas_N",
     )
-
-    @field_validator("effects")
-    @classmethod
-    def _emulable(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
-        return _possible_effects(entries, EffectPlace.LOAD)
 
 
 class CoresConfig(Block):

@@ -35,7 +35,7 @@ from hilbench.plant.effects import effect_problem, effects_of, find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.topology import web_line_quantities as numbered
 from hilbench.topology.signals import Shape, smallest_shapes
-from hilbench.topology.web_line_positions import FEED, FORCE_SET_POINT, SET_POINT, position_quantity, positions
+from hilbench.topology.web_line_quantities import FEED, FORCE_SET_POINT, SET_POINT, position_quantity, positions
 
 LINE_SPEED = "line_speed_m_s"
 MODEL_CHANGE = "twin.model_change"

@@ -7,9 +7,9 @@ it as a vector, everybody else by the names of the signals.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,19 +56,22 @@ class CycleSample:
         return np.array([cls.place(signal) for signal in signals], np.int64)
 
 
-class PlacesIn:
-    """Indices of signals in the vectors of samples, for readers that get these one by one: mostly the same object."""
+Made = TypeVar("Made")
 
-    def __init__(self, signals: Sequence[str]) -> None:
-        self._signals = list(signals)
+
+class PerSample(Generic[Made]):
+    """Cache of an object made on the vectors of a sample, which is mostly the same one."""
+
+    def __init__(self, make: Callable[[CycleSample], Made]) -> None:
+        self._make = make
         self._sample: CycleSample | None = None
-        self._places = np.zeros(0, np.int64)
+        self._made: Made
 
-    def of(self, sample: CycleSample) -> NDArray[np.int64]:
-        """Places in this sample. Raises AttributeError for a signal that it does not have."""
+    def __call__(self, sample: CycleSample) -> Made:
+        """Object for this sample."""
         if sample is not self._sample:
-            self._places, self._sample = type(sample).places(self._signals), sample
-        return self._places
+            self._made, self._sample = self._make(sample), sample
+        return self._made
 
 
 def sample_type(signals: Sequence[Signal]) -> type[CycleSample]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from hilbench.canopen.eds import shared_eds
 from hilbench.estimation.web_line.config import KnownChangeConfig
-from hilbench.exchange.addressing import declared_units
-from hilbench.exchange.device_clock import device_clock
+from hilbench.exchange.addressing import declared_units, device_clock
 from hilbench.topology.blocks import TwinConfig
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role

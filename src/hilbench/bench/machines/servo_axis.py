@@ -23,7 +23,7 @@ from hilbench.plant.servo_axis.emulation import EmulatedShaft
 from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import SPEED
-from hilbench.topology.sample import CycleSample, PlacesIn
+from hilbench.topology.sample import CycleSample, PerSample
 
 #: Signal of the axis's speed command.
 _COMMAND = "v1_cmd_rad_s"
@@ -93,12 +93,13 @@ class ShaftLoadTask(LoadTask):
         super().__init__(motors, model)
         known = {quantity.name for quantity in model.machine.describe().parameters}
         self._has_inertia, self._has_friction = "inertia_kg_m2" in known, "coulomb_friction_Nm" in known
-        self._at = PlacesIn(["x1_rad", "v1_rad_s", *(command for _, command in self._commands)])
+        names = ["x1_rad", "v1_rad_s", *(command for _, command in self._commands)]
+        self._at = PerSample(lambda sample: type(sample).places(names))
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Let the emulated shaft follow the measured motion; record its true parameters."""
         late = inputs.axes_late
-        if self.model.follow_in(sample.reals, self._at.of(sample), late=late) is None:
+        if self.model.follow_in(sample.reals, self._at(sample), late=late) is None:
             self.follow(sample, (sample.x1_rad,), (sample.v1_rad_s,), late=late)
         machine = self.model.machine
         sample.J_true_kg_m2 = machine.parameter("inertia_kg_m2") if self._has_inertia else nan
@@ -106,7 +107,7 @@ class ShaftLoadTask(LoadTask):
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
         """Compiled stage that follows the measured motion; the true parameters stay as they are. None of a subclass."""
-        piece = self.model.piece(sample.reals, self._at.of(sample), lambda _: True)
+        piece = self.model.piece(sample.reals, self._at(sample), lambda _: True)
         if piece is None or type(self) is not ShaftLoadTask:
             return None
         return CompiledStages(

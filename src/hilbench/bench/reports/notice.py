@@ -31,14 +31,8 @@ class Notice:
     last_time_s: float
     last_text: str
     count: int
-
-
-@dataclass(slots=True)
-class _Schedule:
-    """Time at which the next occurrence of a kind is published."""
-
-    next_s: float
-    pause_s: float
+    next_s: float = 0.0  #: when the next occurrence is published
+    pause_s: float = _AGAIN_S
 
 
 class Notices:
@@ -47,7 +41,6 @@ class Notices:
     def __init__(self, publish: Callable[[str], None]) -> None:
         self._publish = publish
         self._found: dict[tuple[str, str], Notice] = {}
-        self._due: dict[tuple[str, str], _Schedule] = {}
         self._kinds: dict[str, int] = {}
         self._cycle_s: float | None = None
         self._lines = 0
@@ -68,20 +61,19 @@ class Notices:
         if found is None:
             self._kinds[source] = self._kinds.get(source, 0) + 1
             first = f"{_BEYOND}, the next: {text}" if key[1] == _BEYOND else text
-            self._found[key] = found = Notice(time_s, source, first, time_s, text, count)
-            self._due[key] = _Schedule(time_s, _AGAIN_S)
+            self._found[key] = found = Notice(time_s, source, first, time_s, text, count, next_s=time_s)
         else:
             found.last_time_s, found.last_text = time_s, text
             found.count += count
-        self._publish_if_due(time_s, found, self._due[key])
+        self._publish_if_due(time_s, found)
 
-    def _publish_if_due(self, time_s: float, found: Notice, due: _Schedule) -> None:
+    def _publish_if_due(self, time_s: float, found: Notice) -> None:
         if time_s != self._cycle_s:
             self._cycle_s, self._lines = time_s, 0
-        if time_s < due.next_s or self._lines >= _MOST_LINES:
+        if time_s < found.next_s or self._lines >= _MOST_LINES:
             return
         self._lines += 1
-        due.next_s = time_s + due.pause_s
-        due.pause_s *= 2.0
+        found.next_s = time_s + found.pause_s
+        found.pause_s *= 2.0
         times = "" if found.count == 1 else f" ({found.count} times by now)"
         self._publish(f"t = {time_s:.3f} s: {found.source}: {found.last_text}{times}")

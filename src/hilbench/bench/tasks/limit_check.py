@@ -18,11 +18,10 @@ from hilbench.bench.tasks.limits import (
     is_synchronized,
     lowest_threshold,
 )
-from hilbench.bench.tasks.task import PerSample
 from hilbench.compiled import COUNT, TABLE, Reals, Wholes, Wholes2, arrays_in, entry_point, load, record_type
 from hilbench.cycle_program import CompiledStage, never
 from hilbench.topology.safety import Limit
-from hilbench.topology.sample import CycleSample
+from hilbench.topology.sample import CycleSample, PerSample
 from hilbench.twin.virtual_io import SYNCHRONIZED
 
 #: A cycle, s; the least difference of positions and ratio of estimates that are reported; 1 if there has been a sample

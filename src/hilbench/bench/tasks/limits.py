@@ -7,11 +7,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import inf
 
-from hilbench.bench.tasks.task import PerSample
 from hilbench.cycle_program import CompiledStage
 from hilbench.errors import BenchFaultError
 from hilbench.topology.safety import Limit
-from hilbench.topology.sample import CycleSample
+from hilbench.topology.sample import CycleSample, PerSample
 from hilbench.twin.virtual_io import SYNCHRONIZED
 
 #: A warning is over, and can come again, when the quantity has fallen below this share of its level.

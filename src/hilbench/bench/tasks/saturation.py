@@ -11,14 +11,13 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from hilbench.bench.tasks.limits import BELOW_LIMITS, LIMIT_REACHED, LimitMonitor, load_motor_labels
-from hilbench.bench.tasks.task import PerSample
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.compiled import COUNT, TABLE, Reals, Wholes, Wholes2, arrays_in, entry_point, load, record_type, records
 from hilbench.cycle_program import CompiledStage, never
 from hilbench.plant.parameters import per_item
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
-from hilbench.topology.sample import CycleSample, PlacesIn
+from hilbench.topology.sample import CycleSample, PerSample
 
 #: Share of the limit from which a measured torque is at it.
 _AT_LIMIT = 0.98
@@ -77,13 +76,13 @@ class SaturationWatch(LimitMonitor):
         self._signals = [(f"axis {k}", f"tau{k}_Nm", f"statusword{k}") for k in range(1, len(axes) + 1)]
         self._signals += [(label, f"tau_{name}_Nm", f"statusword_{name}") for name, label in labels.items()]
         self._limited: dict[str, _Limited] = {}
-        self._at = PlacesIn([name for _, torque, status in self._signals for name in (torque, status)])
         self._at_limit_Nm = np.array([_AT_LIMIT * self._limits_Nm[drive] for drive, _, _ in self._signals])
         self._known, self.look = np.zeros(1, np.int64), PerSample(self._on)
         load(_look)
 
     def _on(self, sample: CycleSample) -> CompiledStage:
-        at = self._at.of(sample).view(_DRIVE_AT)
+        names = [name for _, torque, status in self._signals for name in (torque, status)]
+        at = type(sample).places(names).view(_DRIVE_AT)
         arrays = _Arrays(sample.reals, sample.wholes, at, self._at_limit_Nm, self._known)
         return CompiledStage(_look, 0, arrays, continues=BELOW_LIMITS, fallback=never)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Generic, Literal, Protocol, TypeVar
+from functools import cached_property, partial
+from typing import Literal, Protocol
 
-from hilbench.cycle_program import CompiledStage
+from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.exchange.exchange import Inputs
-from hilbench.topology.sample import CycleSample
+from hilbench.topology.sample import CycleSample, PerSample
 
 #: What goes to the nodes with the next SYNC, SI: set points by the names of the drives (velocity on the side of the
 #: machine, or torque at the shaft), and what the twin gets to know, by the names of the signals.
@@ -38,24 +38,6 @@ class CompiledStages:
     cycles: Callable[[], int] = lambda: MANY
     went: Callable[[int], None] = _nothing
     shown: Mapping[str, str] = field(default_factory=dict)
-
-
-Made = TypeVar("Made")
-
-
-class PerSample(Generic[Made]):
-    """Cache of an object made on the vectors of a sample, which is mostly the same one."""
-
-    def __init__(self, make: Callable[[CycleSample], Made]) -> None:
-        self._make = make
-        self._sample: CycleSample | None = None
-        self._made: Made
-
-    def __call__(self, sample: CycleSample) -> Made:
-        """Object for this sample."""
-        if sample is not self._sample:
-            self._made, self._sample = self._make(sample), sample
-        return self._made
 
 
 class CyclicTask:
@@ -127,12 +109,17 @@ class SettableQuantity(Protocol):
         """Another value from the next cycle on."""
 
 
-class SetPoints:
-    """Settable quantities of a task, see `SettableQuantity`: values by path, the set-point first."""
+class SensedLoop(StagedTask):
+    """Loop of a set-point, in Python, from what sensors report; it owns settable quantities, see `SettableQuantity`.
 
-    def __init__(self, values: dict[str, float]) -> None:
+    `values`: by path, the set-point first; `recorded`: signal that shows the set-point, "" for none; `shown`: signals
+    that hold the task's outputs, by output name.
+    """
+
+    def __init__(self, values: dict[str, float], recorded: str, shown: Mapping[str, str]) -> None:
         super().__init__()
-        self._values = values
+        self._values, self._recorded, self._shown = values, recorded, shown
+        self._reported = False  # the sensors have, since the drives were enabled
 
     @property
     def _set_point(self) -> float:
@@ -149,3 +136,32 @@ class SetPoints:
     def set(self, path: str, value: float) -> None:
         """Another one."""
         self._values[path] = value
+
+    @abstractmethod
+    def _control(self, sample: CycleSample) -> None:
+        """Command from the last sample."""
+
+    def _record(self, sample: CycleSample) -> None:
+        if self._recorded:
+            setattr(sample, self._recorded, self._set_point)
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Record the set-point; the sensors report now."""
+        self._reported = True
+        self._record(sample)
+
+    def stages(self, sample: CycleSample) -> CompiledStages:
+        """Python's stage that commands; the sample shows the set-point, and keeps it."""
+
+        def cycles() -> int:
+            recorded = not self._recorded or getattr(sample, self._recorded) == self._set_point
+            return MANY if self._reported and recorded else 0
+
+        return CompiledStages(
+            before=[python_stage(partial(self._control, sample))], cycles=cycles, shown=dict(self._shown)
+        )
+
+    def rest(self, sample: CycleSample, outputs: Outputs) -> None:
+        """All is as at the start when the drives are enabled again."""
+        self._reported = False
+        self._record(sample)

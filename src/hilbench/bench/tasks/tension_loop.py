@@ -26,7 +26,6 @@ from hilbench.control.web_line.tension import CONTROLLER, gains_at, tension_cont
 from hilbench.plant.matrix_exponential import matrix_exponential
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.emulation import lead_s
-from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.config import BenchConfig
 
 #: A current loop is never faster than this in the model (an ideal one would make the matrices singular).
@@ -57,25 +56,6 @@ class Margins:
 
     gain: float
     phase_deg: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Axis:
-    mass_kg: float
-    kp_N_s_per_m: float
-    ki_N_per_m: float
-    current_loop_s: float
-
-    @classmethod
-    def of(cls, model: ModelParameters, axis: int) -> _Axis:
-        assert model.drives is not None, "a bench's model has drives"
-        ratio = model.motor_rad_per_m(axis)
-        return cls(
-            model.mass_kg(axis),
-            per_item(model.drives.velocity_kp_Nm_s_per_rad, axis) * ratio**2,
-            per_item(model.drives.velocity_ki_Nm_per_rad, axis) * ratio**2,
-            max(per_item(model.drives.current_loop_time_constant_s, axis), _FASTEST_S),
-        )
 
 
 def state_names(config: BenchConfig, under_way: Mapping[int, int]) -> list[str]:
@@ -165,42 +145,43 @@ class TensionLoop:
     @cached_property
     def _cycle(self) -> Matrix:
         """Transition matrix from just after a SYNC to just before the next one."""
-        drives = self.config.web_line.drives
-        assert drives is not None, "a bench's model has drives"
-        samples = max(1, round(self.config.cycle_time_s / drives.sample_time_s))
-        return np.asarray(np.linalg.matrix_power(self._drive_sample(drives.sample_time_s), samples))
+        sample_s = self.config.drive_parameters.sample_time_s
+        samples = max(1, round(self.config.cycle_time_s / sample_s))
+        return np.asarray(np.linalg.matrix_power(self._drive_sample(sample_s), samples))
 
     def _drive_sample(self, sample_s: float) -> Matrix:
         """Velocity loops at their sample, then motion and current loops for its time."""
         at, size, count = self._places, len(self._places), self.config.shape.axes
-        axes = {k: _Axis.of(self.config.web_line, k) for k in range(1, count + 1)}
+        model, drives, axes = self.config.web_line, self.config.drive_parameters, range(1, count + 1)
         loops, rates = np.eye(size), np.zeros((size + 2 * count, size + 2 * count))
         held = np.zeros((size + 2 * count, size))
         for number, (k, of) in enumerate((k, of) for of in ("", "_sim") for k in axes):
-            axis, v, f, i = axes[k], f"v{k}{of}", f"f{k}{of}", f"i{k}{of}"
+            v, f, i, squared = f"v{k}{of}", f"f{k}{of}", f"i{k}{of}", model.motor_rad_per_m(k) ** 2
+            current_loop_s = max(per_item(drives.current_loop_time_constant_s, k), _FASTEST_S)
             error = -self._unit(v) + (self._unit(f"u{k}") if k < count else 0.0)
-            loops[at[i]] = self._unit(i) + axis.ki_N_per_m * sample_s * error
-            held[size + number] = loops[at[i]] + axis.kp_N_s_per_m * error
-            rates[at[f], [at[f], size + number]] = -1.0 / axis.current_loop_s, 1.0 / axis.current_loop_s
-            rates[at[v], at[f]] = 1.0 / axis.mass_kg
+            ki_N_per_m = per_item(drives.velocity_ki_Nm_per_rad, k) * squared
+            loops[at[i]] = self._unit(i) + ki_N_per_m * sample_s * error
+            held[size + number] = loops[at[i]] + per_item(drives.velocity_kp_Nm_s_per_rad, k) * squared * error
+            rates[at[f], [at[f], size + number]] = -1.0 / current_loop_s, 1.0 / current_loop_s
+            rates[at[v], at[f]] = 1.0 / model.mass_kg(k)
         for motor, k in zip(self.config.load_motors.values(), self.config.loaded_axes, strict=True):
             load_s = max(motor.motor.current_loop_time_constant_s, _FASTEST_S)
             rates[at[f"load{k}"], [at[f"load{k}"], at[f"load{k}_set"]]] = -1.0 / load_s, 1.0 / load_s
-            rates[at[f"v{k}"], at[f"load{k}"]] = 1.0 / axes[k].mass_kg
+            rates[at[f"v{k}"], at[f"load{k}"]] = 1.0 / model.mass_kg(k)
         for k in axes:
             rates[at[f"way{k}"], at[f"v{k}"]] = 1.0
-        self._add_simulated_web(rates, axes)
+        self._add_simulated_web(rates)
         held[:size] = loops
         return np.asarray((matrix_exponential(rates * sample_s) @ held)[:size])
 
-    def _add_simulated_web(self, rates: Matrix, axes: Mapping[int, _Axis]) -> None:
+    def _add_simulated_web(self, rates: Matrix) -> None:
         """Add the twin's spans: pull on the axes, stretch by their speeds; strain is carried with the web."""
         at, model = self._places, self.config.web_line
         for j in range(1, model.span_count + 1):
             web, length_m = f"web{j}_sim", model.span_length_m(j)
             for k, sign in ((j, 1.0), (j + 1, -1.0)):
                 if model.carries_web_load(k):
-                    rates[at[f"v{k}_sim"], at[web]] = sign / axes[k].mass_kg
+                    rates[at[f"v{k}_sim"], at[web]] = sign / model.mass_kg(k)
             believed = self.point.estimates_Pa[j - 1] * model.section_m2(j) / length_m
             rates[at[web], at[web]] = -self.point.line_speed_m_s / length_m
             rates[at[web], [at[f"v{j + 1}_sim"], at[f"v{j}_sim"]]] = believed, -believed

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from functools import partial
 from math import inf
 
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, SetPoints, StagedTask
+from hilbench.bench.tasks.task import Outputs, SensedLoop
 from hilbench.bench.tasks.tension_task import AxisTask
 from hilbench.bench.tasks.web_roller_motion import RollerMotion
 from hilbench.bench.tasks.web_winding_control import CarriageForce
-from hilbench.cycle_program import python_stage
-from hilbench.exchange.exchange import Inputs
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import LineCarriage
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import CarriageForceConfig
-from hilbench.topology.web_line_positions import FORCE_SET_POINT, position_path
+from hilbench.topology.web_line_quantities import FORCE_SET_POINT, position_path
 
 
-class CarriageForceTask(SetPoints, StagedTask):
+class CarriageForceTask(SensedLoop):
     """Force on a carriage that keeps the tension after it, plus the force that carriage and rollers need as the driven
     rollers around them change their speeds, by the model; a cylinder pushes, and never pulls.
 
@@ -43,10 +40,10 @@ class CarriageForceTask(SetPoints, StagedTask):
         self._limit_N = inf if control.limit_N is None else control.limit_N
         self._ends = before, behind
         self._motions = [RollerMotion(model, number, state.cycle_s) for number in (axis, axis + 1)]
-        super().__init__({position_path(station.name, FORCE_SET_POINT): control.tension_N(station)})
         self._signal, self._measured = f"f_{station.name}_cmd_N", f"x_{station.name}_meas_m"
+        values = {position_path(station.name, FORCE_SET_POINT): control.tension_N(station)}
+        super().__init__(values, "", {self._signal: self._signal})
         self._starts_m = station.position_m
-        self._moved = False  # until then the sensor has reported nothing
 
     def _control(self, sample: CycleSample) -> None:
         """Command the force, N, from this SYNC on."""
@@ -55,22 +52,13 @@ class CarriageForceTask(SetPoints, StagedTask):
             motion.acceleration_m_s2(share * end.speed_m_s) for motion, end in zip(motions, self._ends, strict=True)
         )
         before_m_s, behind_m_s = (motion.speed_m_s for motion in motions)
-        position_m = getattr(sample, self._measured) if self._moved else self._starts_m
+        position_m = getattr(sample, self._measured) if self._reported else self._starts_m
         moving = before_m_s, behind_m_s, before_m_s2, behind_m_s2, position_m
         self._command(sample, self._force.force_N(self._set_point, *moving))
 
-    def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """Note that the sensor reports now."""
-        self._moved = True
-
-    def stages(self, sample: CycleSample) -> CompiledStages:
-        """Python's stage that commands the force."""
-        before, shown = [python_stage(partial(self._control, sample))], {self._signal: self._signal}
-        return CompiledStages(before=before, cycles=lambda: MANY if self._moved else 0, shown=shown)
-
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """Command the force that holds the carriage at its start position, for the drives being enabled again."""
-        self._moved = False
+        super().rest(sample, outputs)
         for motion in self._motions:
             motion.reset()
         standing = 0.0, 0.0, 0.0, 0.0, self._starts_m

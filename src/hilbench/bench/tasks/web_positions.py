@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from functools import partial
 
-from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, SetPoints, StagedTask
+from hilbench.bench.tasks.task import CompiledStages, Outputs, SensedLoop, StagedTask
 from hilbench.bench.tasks.tension_task import AxisTask
 from hilbench.bench.tasks.web_winding_control import DancerPosition, eased
 from hilbench.cycle_program import python_stage
 from hilbench.errors import BenchFaultError
-from hilbench.exchange.exchange import Inputs
 from hilbench.plant.web_line.stations import LineCarriage
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import PositionControlConfig
-from hilbench.topology.web_line_positions import FEED, SET_POINT, position_path
+from hilbench.topology.web_line_quantities import FEED, SET_POINT, position_path
 
 #: So near to a stop a carriage is at it.
 _AT_STOP_M = 5e-4
 
 
-class PositionTask(SetPoints, AxisTask):
+class PositionTask(SensedLoop, AxisTask):
     """Velocity of the axis before a carriage from the position that its sensor reports, around the speed of the axis
     after it.
 
@@ -39,22 +38,20 @@ class PositionTask(SetPoints, AxisTask):
         cycle_s: float,
     ) -> None:
         station = control.station
-        self._drive = drive
         self._loop = loop
         self._leader = leader
         self._cycle_s = cycle_s
         self._ramp_s = control.feed_ramp_s
         self._command = f"v{axis}_cmd_m_s"
-        self._measured, self._shown = f"x_{station}_meas_m", f"x_{station}_ref_m"
-        self._feed = position_path(station, FEED)
-        super().__init__({position_path(station, SET_POINT): set_point_m, self._feed: 1.0})
+        self._measured, self._feed = f"x_{station}_meas_m", position_path(station, FEED)
+        values = {position_path(station, SET_POINT): set_point_m, self._feed: 1.0}
+        super().__init__(values, f"x_{station}_ref_m", {drive: self._command})
         self._ramped = 1.0  # share of the ramp from standstill to feeding
-        self._moved = False  # until then the sensor has reported nothing
 
     def _control(self, sample: CycleSample) -> None:
         """Command the velocity of the axis, m/s at the web."""
         behind_m_s, share = self._leader.speed_m_s, self._share()
-        if share < 1.0 or not self._moved:
+        if share < 1.0 or not self._reported:
             velocity_m_s = self._loop.let_go(behind_m_s, self._cycle_s)
         else:
             wanted_m, position_m = self._set_point, getattr(sample, self._measured)
@@ -69,25 +66,10 @@ class PositionTask(SetPoints, AxisTask):
         self._ramped += min(max(self._values[self._feed] - self._ramped, -step), step)
         return eased(self._ramped)[0]
 
-    def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """Record the set-point."""
-        self._moved = True
-        setattr(sample, self._shown, self._set_point)
-
-    def stages(self, sample: CycleSample) -> CompiledStages:
-        """Python's stage that makes the velocity command; the sample shows the set-point, and keeps it."""
-
-        def cycles() -> int:
-            return MANY if self._moved and getattr(sample, self._shown) == self._set_point else 0
-
-        before = [python_stage(partial(self._control, sample))]
-        return CompiledStages(before=before, cycles=cycles, shown={self._drive: self._command})
-
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The carriage is as at the start when the drives are enabled again."""
-        self._moved = False
+        super().rest(sample, outputs)
         self._loop.reset()
-        setattr(sample, self._shown, self._set_point)
 
 
 class CarriageStops(StagedTask):

@@ -5,12 +5,11 @@ from __future__ import annotations
 from functools import partial
 
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.task import MANY, CompiledStages, Outputs, SetPoints, StagedTask
+from hilbench.bench.tasks.task import CompiledStages, Outputs, SensedLoop, StagedTask
 from hilbench.bench.tasks.tension_task import AxisTask
 from hilbench.bench.tasks.web_roller_motion import RollerMotion
 from hilbench.bench.tasks.web_winding_control import ReelMechanics, ReelTension
 from hilbench.cycle_program import python_stage
-from hilbench.exchange.exchange import Inputs
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.sample import CycleSample
@@ -19,7 +18,7 @@ from hilbench.topology.web_line_config import ReelControlConfig, span_beside_ree
 from hilbench.topology.web_line_quantities import tension_set_point
 
 
-class ReelTorqueTask(SetPoints, StagedTask):
+class ReelTorqueTask(SensedLoop):
     """Torque of a reel's drive from the tension that the load cell next to it reports.
 
     The set-point, N, is settable. With the twin's feed-forward the pull acts at the twin's radius, and the
@@ -40,21 +39,20 @@ class ReelTorqueTask(SetPoints, StagedTask):
     ) -> None:
         loops, number = model.drives, shape.numbered(span_beside_reel(model, axis))
         assert loops is not None, "a bench's model has drives"
-        self._drive, self._leader, self._state = drive, leader, state
+        self._leader, self._state = leader, state
         self._reel = ReelMechanics.of_model(model, axis)
         limit_Nm = per_item(loops.torque_limit_Nm, axis)
         self._loop = ReelTension(self._reel, control.gain, control.rate_per_s, limit_Nm, control.derivative_s)
         self._ahead = RollerMotion(model, leading, state.cycle_s) if control.feed_forward == "twin" else None
         self._counted_m = model.radius_m(axis)
-        super().__init__({tension_set_point(number): control.set_point_N})
-        self._cell, self._shown = f"F_{control.load_cell}_meas_N", f"F{number}_ref_N"
-        self._closed = f"loop{number}_closed"
         self._radius, self._torque = f"r_{control.reel}_sim_m", f"tau{axis}_cmd_Nm"
+        values, shown = {tension_set_point(number): control.set_point_N}, {drive: self._torque}
+        super().__init__(values, f"F{number}_ref_N", shown)
+        self._cell, self._closed = f"F_{control.load_cell}_meas_N", f"loop{number}_closed"
         self._position, self._speed = f"x{axis}_m", f"v{axis}_cmd_m_s"
         self._at_m: float | None = None
-        self._reported = False  # the load cell has reported
 
-    def _command(self, sample: CycleSample) -> None:
+    def _control(self, sample: CycleSample) -> None:
         """Command the torque, N·m at the motor, from the last sample. No speed is commanded: recorded in the place of
         that is the measured one, so that the axis has no position error."""
         speed_m_s = self._leader.damped_m_s * self._state.speed_share
@@ -76,28 +74,13 @@ class ReelTorqueTask(SetPoints, StagedTask):
         radius_m: float = getattr(sample, self._radius)
         return radius_m if radius_m > 0.0 else self._counted_m
 
-    def after(self, sample: CycleSample, inputs: Inputs) -> None:
-        """Record the set-point."""
-        self._reported = True
-        setattr(sample, self._shown, self._set_point)
-
-    def stages(self, sample: CycleSample) -> CompiledStages:
-        """Python's stage that commands the torque; the sample shows the set-point, and keeps it."""
-
-        def cycles() -> int:
-            return MANY if self._reported and getattr(sample, self._shown) == self._set_point else 0
-
-        before = [python_stage(partial(self._command, sample))]
-        return CompiledStages(before=before, cycles=cycles, shown={self._drive: self._torque})
-
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """Command zero torque, and reset: nothing is known of the line."""
-        self._reported = False
+        super().rest(sample, outputs)
         self._at_m = None
         self._loop.reset()
         if self._ahead is not None:
             self._ahead.reset()
-        setattr(sample, self._shown, self._set_point)
 
 
 class LoadCells(StagedTask):
