@@ -32,7 +32,7 @@ def ran(
         controllers={"tension_control": {"set_point_N": 80.0, "probing": probing}},
         hardware={"effects": [{"effect": "coulomb_friction", "axis": 2, "parameters": {"force_N": friction_N}}]},
     )
-    code, said, errors = run_here(path, "--no-report")
+    code, said, errors = run_here(path)
     assert code == 0, errors
     folder = run_folders(path)[0]
     journal = [(each.path, each.value) for each in read_journal(folder / "journal.log") if each.path == TENSION_PROBE]

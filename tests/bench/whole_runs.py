@@ -69,8 +69,13 @@ def config(folder: Path, **changes: object) -> Path:
 STARTED: list[subprocess.Popen[str]] = []
 
 
-def start(path: Path, *options: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "hilbench", "run", str(path), "--out", str(path.parent / "runs"), *options]
+def _words(path: Path, options: tuple[str, ...], *, report: bool) -> list[str]:
+    """Of a run: a report takes longer than so short a run, and is made where it is looked at."""
+    return ["run", str(path), "--out", str(path.parent / "runs"), *([] if report else ["--no-report"]), *options]
+
+
+def start(path: Path, *options: str, report: bool = False) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "hilbench", *_words(path, options, report=report)]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -84,9 +89,9 @@ def run(path: Path, *options: str) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
-def run_here(path: Path, *options: str) -> tuple[int, str, str]:
+def run_here(path: Path, *options: str, report: bool = False) -> tuple[int, str, str]:
     """The same without processes: for tests of what a run does, which is the same bits in a third of the time."""
-    done = hilbench("run", path, "--in-process", "--out", path.parent / "runs", *options)
+    done = hilbench(*_words(path, options, report=report), "--in-process")
     return done.returncode, done.stdout, done.stderr
 
 
