@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # Tools import what lies beside them.
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tools"))
 
-from tests.bench.whole_runs import STARTED
+from tests.bench.whole_runs import STARTED, Shipped, shipped_run
 from tests.buses import Bus, KernelBus
 
 import canopen
@@ -60,6 +61,15 @@ def pytest_collection_finish() -> None:
 def bus(request: pytest.FixtureRequest) -> Bus:
     """The bus inside the process and, with `-m vcan`, the kernel's."""
     return MemoryBus() if request.param == "memory" else KernelBus()
+
+
+@pytest.fixture(scope="session")
+def shipped(tmp_path_factory: pytest.TempPathFactory) -> Shipped:
+    """What a shipped config does, run once for all that is asked of it, whichever worker asks."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shipped"
+    folder.mkdir(exist_ok=True)
+    return partial(shipped_run, folder=folder)
 
 
 @pytest.fixture(autouse=True, scope="module")

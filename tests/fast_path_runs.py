@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+from hypothesis import strategies as st
+
 from hilbench.bench.bench import Bench
 from hilbench.bench.compiled_cycles import CompiledCycles
 from hilbench.bench.tasks.task import CompiledStages
@@ -113,3 +115,50 @@ def download(node_id: int, index: int, value: int, size: int, sub: int = 0) -> F
 
 def sets(path: str, value: float) -> Change:
     return lambda bench: bench.set(path, value)
+
+
+def events_on_a_line(sends: Callable[..., Change]) -> list[Change]:
+    """What may come between cycles of the demonstrator; `sends` is how somebody else on its bus sends frames."""
+    writes = [
+        download(1, 0x2001, 0x7305, 2),  # axis 1 fails
+        download(18, 0x2001, 0x7305, 2),  # a virtual axis does
+        download(2, 0x6072, 5, 2),  # hardly any torque
+        download(2, 0x6080, 1, 4),  # overspeed
+        download(1, 0x1017, 30, 2),  # heartbeats more often
+        download(32, 0x1017, 0, 2),  # and none
+        download(3, 0x60B2, 10, 2),  # torque offset
+    ]
+    others = [
+        Frame(0x182, bytes(8)),
+        Frame(NMT, bytes((0x80, 1))),
+        Frame(0x001, b""),
+        Frame(0x123, b"abc"),
+        Frame(0x67F, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))),
+    ]
+    return [
+        sets("line_speed_m_s", 0.4),
+        sets("tension_control.set_point_N", 90.0),
+        sets("load.web.youngs_modulus_Pa", 10.5e9),
+        sets("hardware.effects.viscous_friction.axis2.coefficient_N_s_per_m", 3.0),
+        *map(sends, [*writes, *others]),
+    ]
+
+
+#: Changes of the config that cycles on arrays follow.
+OPTIONS = st.builds(
+    lambda seed, mirroring, heartbeat_ms, every: [
+        f"seed={seed}",
+        f"mirroring={mirroring}",
+        f"master.heartbeat_ms={heartbeat_ms}",
+        f"twin.virtual_tpdo_every={every}",
+    ],
+    st.integers(0, 99),
+    st.sampled_from(["listen", "copy"]),
+    st.sampled_from([0, 37, 100]),
+    st.sampled_from([0, 1, 3]),
+)
+
+
+def between(events: list[Change]) -> st.SearchStrategy[list[tuple[int, Change]]]:
+    """A few of them, with the cycle in which each comes."""
+    return st.lists(st.tuples(st.integers(5, 140), st.sampled_from(events)), max_size=3)

@@ -21,7 +21,6 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -283,10 +282,6 @@ def text(done: list[Recorded]) -> str:
             how += f" without {without}" if without else ""
             lines.append(f"{hidden} ({case.condition}; {how}) → {case.verdict} {case.found} {case.problem}\n")
     return "\n".join(lines).strip("\n")
-
-
-def _short(values: Iterable[float]) -> list[float]:
-    return [float(f"{value:.3g}") for value in values]
 
 
 def _counts(mine: list[Recorded]) -> tuple[int, int, int, int]:

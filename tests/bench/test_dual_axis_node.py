@@ -52,11 +52,17 @@ def loaded(path: Path) -> LoadedConfig:
     return load_with_overrides(path)
 
 
-def test_the_second_axis_is_configured_and_sent_to_by_rpdo65_and_tpdo65_and_66(tmp_path: Path) -> None:
-    """As CiA 301 has it: SDO requests to node 1, and who sends what afterwards."""
-    path = dual(tmp_path)
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Run folder of a bench with both axes in one node."""
+    path = dual(tmp_path_factory.mktemp("dual"))
     assert run_here(path)[0] == 0
-    trace = (run_folders(path)[0] / "trace.log").read_text()
+    return run_folders(path)[0]
+
+
+def test_the_second_axis_is_configured_and_sent_to_by_rpdo65_and_tpdo65_and_66(ran: Path) -> None:
+    """As CiA 301 has it: SDO requests to node 1, and who sends what afterwards."""
+    trace = (ran / "trace.log").read_text()
     requests = re.findall(r" 601#([0-9A-F]{16})", trace)
     for expected in (
         "2340140101030080",  # 1440h:1, the COB-ID 301h, not valid yet
@@ -99,10 +105,8 @@ def test_a_node_without_pdos_from_65_on_has_the_second_axis_in_its_first_ones(tm
     assert not {"1401h:1", "1601h:1"} & nodes["axis1"]["written"].keys()
 
 
-def test_what_is_kept_of_the_stand_is_of_each_axis(tmp_path: Path) -> None:
-    path = dual(tmp_path)
-    assert run_here(path)[0] == 0
-    nodes = json.loads((run_folders(path)[0] / "nodes.json").read_text())["nodes"]
+def test_what_is_kept_of_the_stand_is_of_each_axis(ran: Path) -> None:
+    nodes = json.loads((ran / "nodes.json").read_text())["nodes"]
     for name, own, others in (("axis1", "60A9h", "68A9h"), ("axis2", "68A9h", "60A9h")):
         assert own in nodes[name]["found"]
         assert others not in nodes[name]["found"]
@@ -110,17 +114,17 @@ def test_what_is_kept_of_the_stand_is_of_each_axis(tmp_path: Path) -> None:
     assert "6860h" in nodes["axis2"]["written"].keys() - nodes["axis1"]["written"].keys()
 
 
-def test_a_run_on_one_node_with_two_axes_is_that_on_two_nodes(tmp_path: Path) -> None:
+def test_a_run_on_one_node_with_two_axes_is_that_on_two_nodes(ran: Path, tmp_path: Path) -> None:
     """Sample by sample, and with processes as well; the wire carries other identifiers, so other stuff bits."""
     recordings = []
-    for name, made, how in (("two", config, run_here), ("one", dual, run_here), ("processes", dual, run)):
+    for name, made, how in (("two", config, run_here), ("processes", dual, run)):
         folder = tmp_path / name
         folder.mkdir()
         path = made(folder)
         code, _, err = how(path)
         assert code == 0, err
         recordings.append(read_recording(run_folders(path)[0] / "recording.mf4"))
-    two, one, processes = recordings
+    (two, processes), one = recordings, read_recording(ran / "recording.mf4")
     assert two.channels.keys() == one.channels.keys() == processes.channels.keys()
     for name, values in one.channels.items():
         assert np.array_equal(values, processes.channels[name], equal_nan=True), name

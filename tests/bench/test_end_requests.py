@@ -80,7 +80,7 @@ def test_ctrl_c_while_the_report_is_written_waits_for_it(tmp_path, capfd, monkey
 
     monkeypatch.setattr(html, "write_report", interrupted)
     path = config(tmp_path)
-    code, out, _ = run_here(path)
+    code, out, _ = run_here(path, report=True)
     assert code == 130
     (folder,) = run_folders(path)
     assert (folder / "report.html").exists()

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import re
-from functools import cache
 from pathlib import Path
 from struct import pack
-from tempfile import mkdtemp
 
 import numpy as np
 import pytest
+from tests.bench.whole_runs import Shipped
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.estimation.problems import TORQUE_SHIFT, Problem
 from hilbench.exchange.emergencies import Emergency
 from hilbench.exchange.nodes import Nodes
 from hilbench.results.recording import Recording, read_recording
-from hilbench.results.run import RunOutcome, run_experiment
+from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
 
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "line_three_spans.yaml"
@@ -32,49 +31,40 @@ SHORTER = (
 )
 
 
-@cache
-def shipped() -> RunOutcome:
-    """One whole run for all that is asked of it."""
-    folder = Path(mkdtemp())
-    given = load_with_overrides(CONFIG, bus=f"embedded:{folder.name}")
-    return run_experiment(given, folder / "runs", participants=Participants.IN_PROCESS)
-
-
-def recording() -> Recording:
-    return read_recording(shipped().folder.recording)
+@pytest.fixture
+def recording(shipped: Shipped) -> Recording:
+    return read_recording(shipped("line_three_spans").folder.recording)
 
 
 @pytest.mark.slow
-def test_it_passes_all_its_criteria() -> None:
-    result = shipped().result
+def test_it_passes_all_its_criteria(shipped: Shipped) -> None:
+    result = shipped("line_three_spans").result
     assert result.faults == []
     assert len(result.criteria) == 13
     assert {row.name: row.verdict for row in result.criteria if row.verdict != "passed"} == {}
 
 
-def test_its_recording_has_every_axis_load_motor_and_span() -> None:
+def test_its_recording_has_every_axis_load_motor_and_span(recording: Recording) -> None:
     axes = {f"{name}{k}_{unit}" for k in range(1, 5) for name, unit in (("x", "m"), ("v", "m_s"), ("tau", "Nm"))}
     motors = {f"tau_load_{name}_cmd_Nm" for name in ("print_1", "print_2", "outfeed")}
     spans = {f"F{k}_{what}_N" for k in (1, 2, 3) for what in ("true", "sim", "ref")}
-    assert axes | motors | spans | {"strain_prev", "F_next_N"} < set(recording().channels)
+    assert axes | motors | spans | {"strain_prev", "F_next_N"} < set(recording.channels)
 
 
-def test_each_load_motor_pulls_by_the_tensions_around_its_roller() -> None:
-    found = recording()
-    steady = (np.asarray(found["t_s"]) > 6.0) & (np.asarray(found["t_s"]) < 6.9)
-    F_N = [float(np.mean(np.asarray(found[name])[steady])) for name in ("F1_true_N", "F2_true_N", "F3_true_N")]
+def test_each_load_motor_pulls_by_the_tensions_around_its_roller(recording: Recording) -> None:
+    steady = (np.asarray(recording["t_s"]) > 6.0) & (np.asarray(recording["t_s"]) < 6.9)
+    F_N = [float(np.mean(np.asarray(recording[name])[steady])) for name in ("F1_true_N", "F2_true_N", "F3_true_N")]
     for name, before_N, behind_N in zip(("print_1", "print_2", "outfeed"), F_N, [*F_N[1:], 70.0], strict=True):
-        torque_Nm = float(np.mean(np.asarray(found[f"tau_load_{name}_cmd_Nm"])[steady]))
+        torque_Nm = float(np.mean(np.asarray(recording[f"tau_load_{name}_cmd_Nm"])[steady]))
         assert torque_Nm == pytest.approx((behind_N - before_N) * 0.2 / 5.0, abs=0.02)
 
 
-def test_the_twin_tells_what_is_at_its_third_span() -> None:
+def test_the_twin_tells_what_is_at_its_third_span(recording: Recording) -> None:
     """Its objects have two digits: 6403h sub 0Bh and following."""
     nodes = Nodes(load_with_overrides(CONFIG).config)
     third = nodes.io.sent[4]
     assert [(variable.index, variable.subindex) for variable in third.variables] == [(0x6403, 11), (0x6403, 12)]
-    found = recording()
-    assert float(np.asarray(found["E3_sim_Pa"])[-1000:].mean()) == pytest.approx(10.5e9, rel=0.01)
+    assert float(np.asarray(recording["E3_sim_Pa"])[-1000:].mean()) == pytest.approx(10.5e9, rel=0.01)
 
 
 @pytest.mark.slow

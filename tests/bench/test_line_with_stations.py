@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from math import pi
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from tests.bench.whole_runs import Shipped
 from tests.tiers import slow
 
 from hilbench.apps.report.machines.web_line import panels_of
@@ -51,12 +51,6 @@ def run(given: LoadedConfig, folder: Path, how: Participants = Participants.IN_P
 
 
 @cache
-def shipped() -> RunOutcome:
-    folder = Path(mkdtemp())
-    return run(dancer(folder), folder)
-
-
-@cache
 def steady() -> tuple[dict[str, np.ndarray], np.ndarray]:
     """What the line with a dancer records, and which rows are of steady speed."""
     folder = Path(mkdtemp())
@@ -70,16 +64,16 @@ def channels(outcome: RunOutcome) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.slow
-def test_the_shipped_dancer_passes_its_criteria() -> None:
-    result = shipped().result
+def test_the_shipped_dancer_passes_its_criteria(shipped: Shipped) -> None:
+    result = shipped("line_with_dancer").result
     assert result.faults == []
     assert {row.verdict for row in result.criteria} == {"passed"}
     assert len(result.criteria) == 3
 
 
 @pytest.mark.slow
-def test_the_dancer_keeps_the_tension_before_the_press_and_its_position_is_recorded() -> None:
-    found = channels(shipped())
+def test_the_dancer_keeps_the_tension_before_the_press_and_its_position_is_recorded(shipped: Shipped) -> None:
+    found = channels(shipped("line_with_dancer"))
     steady = (found["t_s"] > 6.0) & (found["t_s"] < 7.9)
     for name in ("F1_true_N", "F2_true_N"):
         assert np.mean(found[name][steady]) == pytest.approx(80.0, abs=0.5)
@@ -95,9 +89,11 @@ def test_the_twin_follows_the_dancer_and_tells_each_section_once() -> None:
         assert np.mean((found[f"F{span}_sim_N"] - found[f"F{span}_true_N"])[rows]) == pytest.approx(0.0, abs=0.2)
 
 
-@pytest.mark.parametrize("run_of", [lambda: steady()[0], *slow(lambda: channels(shipped()))], ids=["short", "shipped"])
-def test_E_that_was_right_stays_so_as_the_line_speeds_up_and_its_tension_steps(run_of: Callable[[], Channels]) -> None:
-    found = run_of()
+@pytest.mark.parametrize("as_shipped", [False, *slow(True)])
+def test_E_that_was_right_stays_so_as_the_line_speeds_up_and_its_tension_steps(
+    as_shipped: bool, shipped: Shipped
+) -> None:
+    found = channels(shipped("line_with_dancer")) if as_shipped else steady()[0]
     error = np.convolve(found["E3_sim_Pa"] / found["E3_true_Pa"] - 1.0, np.full(66, 1.0 / 66), "valid")  # over 0.2 s
     assert np.all(np.isfinite(found["E3_sd_Pa"][200:]))
     assert np.max(np.abs(error[167:])) < 0.01
@@ -276,15 +272,9 @@ def test_the_shortest_span_beside_a_roller_decides_about_its_load_motor(tmp_path
     assert found[1.0] == found[2.0], "what is before the dancer is held by it"
 
 
-@cache
-def wound() -> RunOutcome:
-    folder = Path(mkdtemp())
-    return run(load_with_overrides(WINDING, bus=f"embedded:{folder.name}"), folder)
-
-
 @pytest.mark.slow
-def test_a_reel_change_at_full_speed_leaves_all_tensions_within_3_percent() -> None:
-    result, found = wound().result, channels(wound())
+def test_a_reel_change_at_full_speed_leaves_all_tensions_within_3_percent(shipped: Shipped) -> None:
+    result, found = shipped("winding_line").result, channels(shipped("winding_line"))
     assert result.faults == []
     assert [row.verdict for row in result.criteria] == ["passed"] * 3
     running = (found["t_s"] > 5.0) & (found["t_s"] < 31.5)
@@ -300,8 +290,8 @@ def test_a_reel_change_at_full_speed_leaves_all_tensions_within_3_percent() -> N
 
 
 @pytest.mark.slow
-def test_the_web_on_a_reel_has_the_speed_of_the_line_whatever_its_radius() -> None:
-    found = channels(wound())
+def test_the_web_on_a_reel_has_the_speed_of_the_line_whatever_its_radius(shipped: Shipped) -> None:
+    found = channels(shipped("winding_line"))
     steady = (found["t_s"] > 4.5) & (found["t_s"] < 6.0)
     late = (found["t_s"] > 29.0) & (found["t_s"] < 31.0)
     turns_faster = found["r_rewinder_true_m"] / 0.12

@@ -38,7 +38,7 @@ _HEARS_THE_END = ["env", "--default-signal=HUP"]
 @pytest.mark.slow
 def test_of_two_runs_that_start_in_the_same_moment_one_runs_and_one_is_refused(tmp_path: Path) -> None:
     path = config(tmp_path, steps=BRIEF)
-    both = [start(path, "--no-report") for _ in range(2)]
+    both = [start(path) for _ in range(2)]
     said = {process.returncode: err for process in both for _, err in [process.communicate(timeout=120)]}
     assert sorted(said) == [0, 2], said
     assert "bench web_section_step" in said[2]
@@ -158,7 +158,7 @@ def test_a_bench_that_was_killed_can_be_started_again_at_once(tmp_path: Path) ->
     first.kill()
     first.communicate()
     path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"steps": BRIEF}))
-    code, out, err = run(path, "--no-report")
+    code, out, err = run(path)
     assert code == 0, out + err
     assert gone(path)
 

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.bench.whole_runs import Shipped
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -53,8 +54,8 @@ def run(
 
 
 @pytest.mark.slow
-def test_the_shipped_experiment_knows_its_crossings_seconds_before(tmp_path: Path) -> None:
-    outcome = run(tmp_path, shorter=())
+def test_the_shipped_experiment_knows_its_crossings_seconds_before(shipped: Shipped) -> None:
+    outcome = shipped("predicted_limit")
     assert outcome.exit_code == EXIT_PASSED, outcome.result.criteria
     predicted = Result.read(outcome.folder.result).predicted
     assert predicted is not None

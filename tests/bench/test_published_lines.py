@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from tests.bench.whole_runs import Shipped
 
-from hilbench.bench.lifecycle.participants import Participants
 from hilbench.results.recording import read_recording
-from hilbench.results.run import RunOutcome, run_experiment
-from hilbench.runs.config import load_with_overrides
-
-CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
+from hilbench.results.run import RunOutcome
 
 
-def passed(name: str, folder: Path, criteria: int) -> RunOutcome:
+def passed(outcome: RunOutcome, criteria: int) -> RunOutcome:
     """A shipped config has run without a fault, and all its criteria hold."""
-    given = load_with_overrides(CONFIGS / f"{name}.yaml", bus=f"embedded:{folder.name}")
-    outcome = run_experiment(given, folder / "run", participants=Participants.IN_PROCESS)
     assert outcome.result.faults == []
     assert [row.verdict for row in outcome.result.criteria] == ["passed"] * criteria
     return outcome
 
 
 @pytest.mark.slow
-def test_Giannoccaros_tensions_stay_within_3_percent_as_the_speed_doubles(tmp_path: Path) -> None:
-    result = passed("giannoccaro_2016", tmp_path, criteria=3).result
+def test_Giannoccaros_tensions_stay_within_3_percent_as_the_speed_doubles(shipped: Shipped) -> None:
+    result = passed(shipped("giannoccaro_2016"), criteria=3).result
     assert max(row.value or 0.0 for row in result.criteria) < 0.03 * 14.0
 
 
 @pytest.mark.slow
-def test_Kocs_tensions_stay_within_2_percent_as_the_speed_changes_and_its_twin_finds_E(tmp_path: Path) -> None:
-    outcome = passed("koc_2002", tmp_path, criteria=2)
+def test_Kocs_tensions_stay_within_2_percent_as_the_speed_changes_and_its_twin_finds_E(shipped: Shipped) -> None:
+    outcome = passed(shipped("koc_2002"), criteria=2)
     assert max(row.value or 1.0 for row in outcome.result.criteria) < 0.02 * 15.0
     found = read_recording(outcome.folder.recording)
     running = np.asarray(found["t_s"]) > 3.0
@@ -42,8 +35,8 @@ def test_Kocs_tensions_stay_within_2_percent_as_the_speed_changes_and_its_twin_f
 
 
 @pytest.mark.slow
-def test_both_ends_of_Kuhms_accumulator_stay_within_3_percent_of_a_reel_change(tmp_path: Path) -> None:
-    outcome = passed("kuhm_2012", tmp_path, criteria=3)
+def test_both_ends_of_Kuhms_accumulator_stay_within_3_percent_of_a_reel_change(shipped: Shipped) -> None:
+    outcome = passed(shipped("kuhm_2012"), criteria=3)
     assert max(row.value or 100.0 for row in outcome.result.criteria) < 3.0
     found = read_recording(outcome.folder.recording)
     time_s = np.asarray(found["t_s"])

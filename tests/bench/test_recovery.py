@@ -57,7 +57,7 @@ def test_a_run_whose_trace_breaks_off_in_mid_line_is_recovered_as_far_as_it_goes
 @pytest.mark.slow
 def test_a_killed_run_is_recovered_as_it_would_have_been_recorded(tmp_path: Path) -> None:
     path = config(tmp_path, steps=[*SHORT[:3], {"hold": {"duration_s": 1.0}}])
-    assert run_here(path, "--no-report")[0] == 0
+    assert run_here(path)[0] == 0
     whole = read_recording(run_folders(path)[0] / "recording.mf4")
     (tmp_path / "killed").mkdir()
     path = config(tmp_path / "killed", steps=[*SHORT[:3], {"hold": {"duration_s": 1000.0}}])

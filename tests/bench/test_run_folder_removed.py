@@ -22,15 +22,15 @@ def experiment(bench):
 """
 
 
-@pytest.mark.parametrize("options", [(), ("--no-report",), ("--json",)])
+@pytest.mark.parametrize(("options", "report"), [((), True), ((), False), (("--json",), True)])
 def test_a_folder_removed_in_mid_run_is_a_fault_with_a_report_and_without(
-    tmp_path: Path, options: tuple[str, ...]
+    tmp_path: Path, options: tuple[str, ...], report: bool
 ) -> None:
     (tmp_path / "removes.py").write_text(REMOVES)
     path = config(tmp_path, steps=[*SHORT[:2], {"python": {"file": "removes.py"}}, SHORT[-1]])
-    code, out, err = run_here(path, *options)
+    code, out, err = run_here(path, *options, report=report)
     assert code == EXIT_BENCH_FAULT
     assert "was removed while the run wrote to it" in out
-    assert ("no report: " in err) == (options != ("--no-report",))
-    if options == ("--json",):
+    assert ("no report: " in err) == report
+    if options:
         assert json.loads(out)["exit_code"] == EXIT_BENCH_FAULT

@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.bench.whole_runs import shipped_run
 from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
@@ -106,20 +107,21 @@ def block_of(name: str) -> int:
 
 
 def left_by(name: str, folder: Path) -> RunFolder:
-    """Run a config, in one process."""
-    loaded = load_with_overrides(CONFIGS / f"{name}.yaml", changes=TO_THE_BIT.get(name, ()))
+    """Run a config in one process, where it is as shipped once for all that share the folder."""
+    if not TO_THE_BIT.get(name):
+        return shipped_run(name, folder).folder
+    loaded = load_with_overrides(CONFIGS / f"{name}.yaml", changes=TO_THE_BIT[name])
     return run_experiment(loaded, folder, participants=Participants.IN_PROCESS).folder
 
 
-def checksums_of(name: str, folder: Path) -> Checksums:
-    """Run a config; the checksums of all that it left."""
-    left = left_by(name, folder)
+def checksums_of(name: str, left: RunFolder) -> Checksums:
+    """Checksums of all that a run left."""
     return of_recording(read_recording(left.recording), block_of(name)) | of_trace(left.trace, block_of(name))
 
 
-def means_of(name: str, folder: Path) -> dict[str, list[float]]:
-    """Run a config; the mean of each channel in each block of cycles, where it has no value as of 0; then its RMS."""
-    recording = read_recording(left_by(name, folder).recording)
+def means_of(left: RunFolder) -> dict[str, list[float]]:
+    """Mean of each channel of a run in each block of cycles, where it has no value as of 0; then its RMS."""
+    recording = read_recording(left.recording)
     found = {}
     for channel in recording.channels:
         values = np.nan_to_num(np.asarray(recording[channel], dtype=float), posinf=0.0, neginf=0.0)
@@ -149,14 +151,15 @@ def stored(name: str) -> dict[str, list[str]]:
 
 
 @pytest.mark.parametrize("name", [DEMONSTRATOR, *slow(*(name for name in TO_THE_BIT if name != DEMONSTRATOR))])
-def test_a_run_records_the_samples_and_sends_the_frames_that_it_always_did(name, tmp_path):
-    assert differences(stored(name), checksums_of(name, tmp_path), block_of(name)) == []
+def test_a_run_records_the_samples_and_sends_the_frames_that_it_always_did(name, shipped, tmp_path):
+    left = left_by(name, tmp_path) if TO_THE_BIT[name] else shipped(name).folder
+    assert differences(stored(name), checksums_of(name, left), block_of(name)) == []
 
 
 @pytest.mark.parametrize("name", slow(*BY_MEANS))
-def test_the_means_of_a_run_are_those_that_they_always_were(name, tmp_path):
+def test_the_means_of_a_run_are_those_that_they_always_were(name, shipped):
     before = {channel: np.array(means, dtype=float) for channel, means in stored(name).items()}
-    now = means_of(name, tmp_path)
+    now = means_of(shipped(name).folder)
     assert now.keys() == before.keys()
     for channel, means in before.items():
         assert now[channel] == pytest.approx(means, abs=TOLERANCE * means[-1], rel=0.0), channel
@@ -177,12 +180,10 @@ def test_a_difference_is_named_with_its_cycles():
 if __name__ == "__main__":
     for run in sys.argv[1:] or (*TO_THE_BIT, *BY_MEANS):
         with tempfile.TemporaryDirectory() as scratch:
+            left = left_by(run, Path(scratch))
             if run in BY_MEANS:
-                kept = {
-                    channel: [f"{mean:.12g}" for mean in means]
-                    for channel, means in means_of(run, Path(scratch)).items()
-                }
+                kept = {channel: [f"{mean:.12g}" for mean in means] for channel, means in means_of(left).items()}
             else:
-                kept = checksums_of(run, Path(scratch))
+                kept = checksums_of(run, left)
         rows = (f'"{name}": "{" ".join(blocks)}"' for name, blocks in kept.items())
         (STORED / f"{run}.json").write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8")

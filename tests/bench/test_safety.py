@@ -72,7 +72,7 @@ def test_emergency_stop_from_another_terminal(tmp_path: Path) -> None:
 def test_a_trip_stops_with_bounded_deceleration_and_says_why(tmp_path: Path) -> None:
     limits = {"speed_m_s": {"warning": 0.6, "trip": 0.8}}
     path = config(tmp_path, safety={"limits": limits, "quick_stop_m_s2": QUICK_STOP_M_S2})
-    code, out, _ = run_here(path)
+    code, out, _ = run_here(path, report=True)
     folder = run_folders(path)[0]
     assert code == 3
     result = result_of(folder)

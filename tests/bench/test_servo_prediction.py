@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.bench.whole_runs import Shipped
 from tests.cli.in_process import hilbench
 
 from hilbench.bench.lifecycle.participants import Participants
@@ -16,7 +17,6 @@ from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import load_with_overrides
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
-SHIPPED = "servo_predicted_limit.yaml"
 #: Ramps by which the twin finds the inertia, a step of it at 2.6 s, and a ramp at 3 s that takes the torque to 3.2 N·m.
 STEPS = """steps=[
   {ramp: {path: speed_rad_s, to: 20.0, duration_s: 0.6}}, {ramp: {path: speed_rad_s, to: 5.0, duration_s: 0.5}},
@@ -114,9 +114,8 @@ def test_what_cannot_be_asked_of_a_servo_axis_is_refused_in_one_line(announced: 
 
 
 @pytest.mark.slow
-def test_the_shipped_experiment_knows_its_crossings_before(tmp_path: Path) -> None:
-    loaded = load_with_overrides(CONFIGS / SHIPPED)
-    outcome = run_experiment(loaded, tmp_path, participants=Participants.IN_PROCESS)
+def test_the_shipped_experiment_knows_its_crossings_before(shipped: Shipped) -> None:
+    outcome = shipped("servo_predicted_limit")
     assert outcome.exit_code == EXIT_PASSED, outcome.result.criteria
     for each in outcome.result.predicted or ():
         assert each.crossed_s == pytest.approx(each.expected_s, abs=0.05)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import uuid
 from pathlib import Path
 
 import pytest
+from tests.bench.whole_runs import Shipped
 
-from hilbench.bench.lifecycle.participants import Participants
-from hilbench.results.run import run_experiment
-from hilbench.runs.config import load_with_overrides
+from hilbench.errors import EXIT_PASSED
 
 pytestmark = pytest.mark.slow
 
@@ -17,8 +15,8 @@ SHIPPED = sorted((Path(__file__).resolve().parents[2] / "bench_configs").glob("*
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_a_shipped_config_passes_its_criteria(tmp_path: Path, path: Path) -> None:
-    loaded = load_with_overrides(path, bus=f"embedded:t{uuid.uuid4().hex[:10]}")
-    outcome = run_experiment(loaded, tmp_path, participants=Participants.IN_PROCESS)
+def test_a_shipped_config_passes_its_criteria(shipped: Shipped, path: Path) -> None:
+    outcome = shipped(path.stem)
     assert [row.name for row in outcome.result.criteria if not row.passed] == []
-    assert outcome.result.verdict == ("passed" if loaded.config.criteria else "completed")
+    assert outcome.result.verdict == ("passed" if outcome.result.criteria else "completed")
+    assert outcome.exit_code == EXIT_PASSED

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.bench.broken_twin import Fault, broken
-from tests.bench.whole_runs import config
+from tests.bench.whole_runs import Shipped, config
 from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
@@ -131,8 +131,8 @@ SLOW_RUNS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*RUNS, *SLOW_RUNS])
-def test_no_loop_is_opened_on_a_twin_that_is_right(tmp_path: Path, name: str) -> None:
-    outcome = run(tmp_path, ROOT / "bench_configs" / f"{name}.yaml")
+def test_no_loop_is_opened_on_a_twin_that_is_right(shipped: Shipped, name: str) -> None:
+    outcome = shipped(name)
     assert outcome.result.metrics["twin_refusals"] == 0.0
     assert not [text for _, text in openings(outcome) if "by the twin is" in text]
 

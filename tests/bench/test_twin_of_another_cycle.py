@@ -65,7 +65,7 @@ def recorded(folder: Path, cycle_s: float) -> tuple[Recording, Result]:
     folder.mkdir()
     with twin_of(cycle_s):
         path = config(folder, steps=STEPS, cycle_time_s=CYCLE_S)
-        code, _, said = run_here(path, "--no-report")
+        code, _, said = run_here(path)
     assert code == 0, said
     (made,) = run_folders(path)
     return read_recording(made / "recording.mf4"), Result.read(made / "result.json")

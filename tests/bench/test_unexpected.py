@@ -245,7 +245,7 @@ def test_a_result_that_can_not_be_written_is_one_line(tmp_path: Path, monkeypatc
         return original(self, sample)
 
     monkeypatch.setattr(LimitWatch, "update", replacing)
-    ran = hilbench("run", config(tmp_path, steps=MOVING), "--in-process", "--out", tmp_path / "runs")
+    ran = hilbench("run", config(tmp_path, steps=MOVING), "--in-process", "--no-report", "--out", tmp_path / "runs")
     assert ran.returncode == 3
     assert ran.stderr.count("\n") == 1
     assert "drives were stopped; then" in ran.stderr

@@ -54,7 +54,7 @@ def ran(
         twin={"youngs_modulus_Pa": 0.6 * 8.7e9},
         hardware={"effects": [{"effect": "coulomb_friction", "axis": 2, "parameters": {"force_N": friction_N}}]},
     )
-    code, said, errors = run_here(path, "--no-report")
+    code, said, errors = run_here(path)
     assert code == 0, errors
     folder = run_folders(path)[0]
     journal = [each.value for each in read_journal(folder / "journal.log") if each.path == TENSION_PROBE]

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import fcntl
+import pickle
 import re
 import subprocess
 import sys
 import time
 import uuid
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import yaml
 from tests.cli.in_process import hilbench
 
+from hilbench.bench.lifecycle.participants import Participants
 from hilbench.results.result import Result
+from hilbench.results.run import RunOutcome, run_experiment
+from hilbench.runs.config import load_with_overrides
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "bench_configs" / "web_section_step.yaml"
@@ -27,6 +32,21 @@ SHORT = [
     {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 0.4}},
 ]
 ENDLESS = [SHORT[0], {"hold": {"duration_s": 1000.0}}]
+#: Outcome of a shipped config by its name (the fixture `shipped`).
+Shipped = Callable[[str], RunOutcome]
+
+
+def shipped_run(name: str, folder: Path) -> RunOutcome:
+    """Outcome of a shipped config in one process, run by whoever asks first of all that share the folder."""
+    kept = folder / f"{name}.pickle"
+    with open(folder / f"{name}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not kept.exists():
+            given = load_with_overrides(SHIPPED.with_name(f"{name}.yaml"), bus=f"embedded:t{uuid.uuid4().hex[:10]}")
+            outcome = run_experiment(given, folder, participants=Participants.IN_PROCESS)
+            kept.write_bytes(pickle.dumps(outcome))
+    made: RunOutcome = pickle.loads(kept.read_bytes())
+    return made
 
 
 def config(folder: Path, **changes: object) -> Path:
@@ -49,8 +69,13 @@ def config(folder: Path, **changes: object) -> Path:
 STARTED: list[subprocess.Popen[str]] = []
 
 
-def start(path: Path, *options: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "hilbench", "run", str(path), "--out", str(path.parent / "runs"), *options]
+def _words(path: Path, options: tuple[str, ...], *, report: bool) -> list[str]:
+    """Of a run: a report takes longer than so short a run, and is made where it is looked at."""
+    return ["run", str(path), "--out", str(path.parent / "runs"), *([] if report else ["--no-report"]), *options]
+
+
+def start(path: Path, *options: str, report: bool = False) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "hilbench", *_words(path, options, report=report)]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -64,9 +89,9 @@ def run(path: Path, *options: str) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
-def run_here(path: Path, *options: str) -> tuple[int, str, str]:
+def run_here(path: Path, *options: str, report: bool = False) -> tuple[int, str, str]:
     """The same without processes: for tests of what a run does, which is the same bits in a third of the time."""
-    done = hilbench("run", path, "--in-process", "--out", path.parent / "runs", *options)
+    done = hilbench(*_words(path, options, report=report), "--in-process")
     return done.returncode, done.stdout, done.stderr
 
 

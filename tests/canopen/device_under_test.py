@@ -20,6 +20,20 @@ SERVO_EDS = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"
 U8, U16, U32, I8, I16, I32, I24, REAL32, STRING, DOMAIN, BOOLEAN = 5, 6, 7, 2, 3, 4, 0x10, 8, 9, 0xF, 1
 
 
+class Idle:
+    """Nothing behind a device."""
+
+    listens_to: frozenset[int] = frozenset()
+
+    def before_sync(self) -> None: ...
+
+    def after_sync(self) -> None: ...
+
+    def on_frame(self, frame: Frame) -> None: ...
+
+    def tick(self, duration_s: float) -> None: ...
+
+
 def var(name: str, code: int, access: str = "rw", default: str = "0", mappable: bool = False, extra: str = "") -> str:
     """The options of one variable."""
     value = f"DefaultValue={default}\n" if default else ""

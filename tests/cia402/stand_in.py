@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import count
 from math import copysign, inf, pi
 from pathlib import Path
 
+import canopen
+from hilbench.apps.devices.behaviour import Behaviour
+from hilbench.apps.devices.drive import SimulatedDrive as DriveOnABus
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
+from hilbench.can.python_can import can
 from hilbench.canopen.clock import Clock
 from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
@@ -174,3 +180,50 @@ def served(link: Link, devices: Sequence[Device], clock: Clock, application: App
         stop.set()
         thread.join()
         link.close()
+
+
+def eventually(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+
+
+@contextmanager
+def on_a_virtual_bus(
+    eds: Path, node: canopen.RemoteNode, behaviour: Behaviour | Path | None = None
+) -> Iterator[tuple[DriveOnABus, str]]:
+    """A simulated drive on a bus of python-can beside canopen's client that drives it; the bus' channel."""
+    channel = f"drives-{next(_channels)}"
+    with (
+        can.Bus(interface="virtual", channel=channel) as ours,
+        DriveOnABus(eds, node.id, can.Bus(interface="virtual", channel=channel), behaviour=behaviour) as drive,
+    ):
+        network = canopen.Network(ours)
+        network.connect()
+        network.add_node(node)
+        node.sdo.RESPONSE_TIMEOUT = 2.0
+        eventually(lambda: answers(node))
+        try:
+            yield drive, channel
+        finally:
+            network.disconnect()
+
+
+def answers(node: canopen.RemoteNode) -> bool:
+    """False while it boots."""
+    try:
+        return node.sdo[0x1000].raw is not None
+    except (canopen.SdoCommunicationError, canopen.SdoAbortedError):
+        return False
+
+
+def enable(node: canopen.RemoteNode, mode: int, offset: int = 0) -> None:
+    """An axis, whose objects lie so far behind those of the first."""
+    node.sdo[0x6060 + offset].raw = mode
+    for word in (0x80, 0x06, 0x07, 0x0F):
+        node.sdo[0x6040 + offset].raw = word
+    eventually(lambda: node.sdo[0x6041 + offset].raw & 0x6F == 0x27)
+
+
+_channels = count()

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import struct
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import count
 from pathlib import Path
 
 import pytest
-from tests.cia402.stand_in import StandingClock
+from tests.cia402.stand_in import StandingClock, enable, eventually, on_a_virtual_bus
 
 import canopen
 from hilbench import SimulatedDrive
@@ -29,48 +27,17 @@ NODE = 5
 ENABLED = 0x27
 #: A turn a second, in units of 0.0001 rpm.
 TURN_PER_S = 600_000
-_channels = count()
-
-
-def eventually(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
 
 
 @contextmanager
 def driven() -> Iterator[tuple[SimulatedDrive, canopen.RemoteNode, can.BusABC]]:
     """The node, the client that knows its EDS file, and somebody who listens."""
-    channel = f"two-axes-{next(_channels)}"
+    node = canopen.RemoteNode(NODE, canopen.import_od(str(DUAL), NODE))
     with (
-        can.Bus(interface="virtual", channel=channel) as ours,
+        on_a_virtual_bus(DUAL, node) as (drive, channel),
         can.Bus(interface="virtual", channel=channel) as listener,
-        SimulatedDrive(DUAL, NODE, can.Bus(interface="virtual", channel=channel)) as drive,
     ):
-        network = canopen.Network(ours)
-        network.connect()
-        node = network.add_node(NODE, canopen.import_od(str(DUAL), NODE))
-        node.sdo.RESPONSE_TIMEOUT = 2.0
-        eventually(lambda: _answers(node))
-        try:
-            yield drive, node, listener
-        finally:
-            network.disconnect()
-
-
-def _answers(node: canopen.RemoteNode) -> bool:
-    try:
-        return node.sdo[0x1000].raw is not None
-    except canopen.SdoCommunicationError:
-        return False
-
-
-def enable(node: canopen.RemoteNode, offset: int, mode: int = 3) -> None:
-    node.sdo[0x6060 + offset].raw = mode
-    for word in (0x80, 0x06, 0x07, 0x0F):
-        node.sdo[0x6040 + offset].raw = word
-    eventually(lambda: node.sdo[0x6041 + offset].raw & 0x6F == ENABLED)
+        yield drive, node, listener
 
 
 def test_the_device_types_are_those_of_several_logical_devices() -> None:
@@ -82,12 +49,12 @@ def test_the_device_types_are_those_of_several_logical_devices() -> None:
 def test_each_axis_is_moved_by_its_own_objects() -> None:
     with driven() as (drive, node, _):
         second = drive.axis(2)
-        enable(node, 0x800)
+        enable(node, 3, 0x800)
         assert (drive.state, second.state) == (State.SWITCH_ON_DISABLED, State.OPERATION_ENABLED)
         node.sdo[0x68FF].raw = TURN_PER_S
         eventually(lambda: second.velocity_rpm > 55.0)
         assert drive.velocity_rpm == 0.0
-        enable(node, 0)
+        enable(node, 3)
         node.sdo[0x60FF].raw = -TURN_PER_S
         eventually(lambda: drive.velocity_rpm < -55.0)
         assert second.velocity_rpm == pytest.approx(60.0, rel=0.05)
@@ -126,8 +93,8 @@ def test_process_data_of_the_second_axis_go_by_rpdo65_and_tpdo65() -> None:
 
 def test_one_axis_fails_and_the_other_goes_on() -> None:
     with driven() as (drive, node, listener):
-        enable(node, 0)
-        enable(node, 0x800)
+        enable(node, 3)
+        enable(node, 3, 0x800)
         drive.axis(2).fault(0x8611)
         eventually(lambda: drive.axis(2).state is State.FAULT)
         assert drive.state is State.OPERATION_ENABLED

@@ -58,7 +58,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Done:
     path = folder / "bench.yaml"
     path.write_text(CONFIG)
     picture = BusPicture(load(path)[0])
-    running = start(path)
+    running = start(path, report=True)
     wait_for_frames(path, 100)
     link = open_link(picture.config.bus_address.as_it_runs())
     picture.take(receive_for(link, 0.3))

@@ -14,7 +14,6 @@ from hilbench.canopen.object_store import SdoAbort
 from hilbench.errors import UnusableInputError
 
 DUAL = Path(__file__).parents[2] / "eds" / "hilbench_servo_dual.eds"
-GROUPS = ["Drive states", "Option codes", "Modes", "Limits"]
 
 
 def failed(results: list[CaseResult]) -> list[str]:

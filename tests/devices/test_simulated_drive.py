@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import count
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,7 @@ from canopen.profiles.p402 import BaseNode402
 from canopen.sdo import SdoAbortedError, SdoClient
 from tests.cia402.every_mode import INCREMENTS, eds_file, eds_text
 from tests.cia402.stand_in import EDS as OWN
+from tests.cia402.stand_in import answers, enable, eventually, on_a_virtual_bus
 
 from canopen import Network
 from hilbench import SimulatedDrive
@@ -23,7 +23,6 @@ from hilbench.canopen.eds import load_eds
 from hilbench.cia402.state_machine import State
 from hilbench.errors import UnusableInputError
 
-_channels = count()
 OTHERS = [
     path
     for path in sorted(Path(__file__).parents[3].glob("shared/eds/*"))
@@ -31,45 +30,12 @@ OTHERS = [
 ]
 
 
-def eventually(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
-
-
 @contextmanager
 def driven(eds: Path, behaviour: Behaviour | Path | None = None) -> Iterator[tuple[SimulatedDrive, BaseNode402]]:
-    """The drive as node 5, and the client that drives it, on a virtual bus of python-can."""
-    channel = f"devices-{next(_channels)}"
-    with (
-        can.Bus(interface="virtual", channel=channel) as ours,
-        SimulatedDrive(eds, 5, can.Bus(interface="virtual", channel=channel), behaviour=behaviour) as drive,
-    ):
-        network = Network(ours)
-        network.connect()
-        node = BaseNode402(5, load_eds(eds, 5))
-        network.add_node(node)
-        node.sdo.RESPONSE_TIMEOUT = 2.0
-        eventually(lambda: _answers(node))
-        try:
-            yield drive, node
-        finally:
-            network.disconnect()
-
-
-def _answers(node: BaseNode402) -> bool:
-    try:
-        return node.sdo[0x1000].raw is not None
-    except Exception:  # it is still booting
-        return False
-
-
-def enable(node: BaseNode402, mode: int) -> None:
-    node.sdo[0x6060].raw = mode
-    for word in (0x80, 0x06, 0x07, 0x0F):
-        node.sdo[0x6040].raw = word
-    eventually(lambda: node.sdo[0x6041].raw & 0x6F == 0x27)
+    """The drive as node 5, and the client that drives it."""
+    node = BaseNode402(5, load_eds(eds, 5))
+    with on_a_virtual_bus(eds, node, behaviour) as (drive, _):
+        yield drive, node
 
 
 @pytest.fixture
@@ -139,7 +105,7 @@ def test_it_falls_silent_and_its_heartbeat_stays_away(eds: Path) -> None:
         node.sdo.RESPONSE_TIMEOUT = 0.2
         with pytest.raises(Exception, match="No SDO response"):
             _ = node.sdo[0x1000].raw
-        eventually(lambda: _answers(node))
+        eventually(lambda: answers(node))
 
 
 def test_the_encoder_jumps_and_it_resets_itself(eds: Path) -> None:
@@ -185,7 +151,7 @@ def test_a_file_of_no_drive_is_refused_in_one_line(tmp_path: Path) -> None:
 
 
 def test_a_drive_whose_file_lacks_the_mapping_of_a_pdo_is_driven_by_sdo_and_its_other_pdos(tmp_path: Path) -> None:
-    channel = f"devices-{next(_channels)}"
+    channel = "devices-without-a-mapping"
     with (
         can.Bus(interface="virtual", channel=channel) as ours,
         SimulatedDrive(eds_file(tmp_path, 0x1600), 5, can.Bus(interface="virtual", channel=channel)) as drive,
@@ -250,7 +216,7 @@ def test_several_drives_on_one_bus(eds: Path) -> None:
         nodes = [BaseNode402(number, load_eds(eds, number)) for number in (5, 6)]
         for node in nodes:
             network.add_node(node)
-            eventually(lambda node=node: _answers(node))
+            eventually(lambda node=node: answers(node))
         enable(nodes[1], 3)
         assert (one.state, other.state) == (State.SWITCH_ON_DISABLED, State.OPERATION_ENABLED)
         network.disconnect()

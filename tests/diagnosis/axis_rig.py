@@ -4,6 +4,7 @@ once."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,47 +44,43 @@ class Rig:
 
     def _speed(self, t_s: float) -> float:
         if self.swing is not None:
-            return self.about_rad_s + self.swing[1] * float(np.sin(_TURN * self.swing[0] * t_s))
+            return self.about_rad_s + self.swing[1] * math.sin(_TURN * self.swing[0] * t_s)
         return _stepped(t_s) if self.stepped else _triangle(t_s)
 
     def recordings(self, repeats: int, seed: int = 0) -> list[Recording]:
         """Triangles of speed in both directions at 1 kHz, or steps of it, as often."""
-        rng = np.random.default_rng(seed)
         steps = round(self.seconds / _STEP_S)
-        x, v, z, integral, wander, twist, speed_behind = (np.zeros(repeats) for _ in range(7))
-        forget = _STEP_S / 0.5
-        rows = []
+        drawn = np.random.default_rng(seed).standard_normal((steps - steps // -_EVERY, repeats))
+        return [self._recording(steps, drawn[:, k].tolist()) for k in range(repeats)]
+
+    def _recording(self, steps: int, drawn: list[float]) -> Recording:
+        noise = iter(drawn)
+        x = v = z = integral = wander = twist = speed_behind = 0.0
+        forget, most = _STEP_S / 0.5, self.coulomb_Nm / _BRISTLE
+        wanders_Nm = self.wander_Nm * math.sqrt(2.0 * forget)
+        angles, torques = [], []
         for k in range(steps):
-            t = k * _STEP_S
-            speed = self._speed(t)
-            error = speed - v
+            error = self._speed(k * _STEP_S) - v
             integral += 0.4 * error * _STEP_S
-            torque = np.clip(0.02 * error + integral, -0.3, 0.3)
-            z = np.clip(z + v * _STEP_S, -self.coulomb_Nm / _BRISTLE, self.coulomb_Nm / _BRISTLE)
-            wander += -forget * wander + self.wander_Nm * np.sqrt(2.0 * forget) * rng.standard_normal(repeats)
+            torque = min(max(0.02 * error + integral, -0.3), 0.3)
+            z = min(max(z + v * _STEP_S, -most), most)
+            wander += -forget * wander + wanders_Nm * next(noise)
             friction = _BRISTLE * z + self.viscous_Nm_s * v + wander + self.spring_Nm * (x / 60.0) ** 4
             shaft = 0.0
             if self.behind_kg_m2:
                 shaft = self.shaft_Nm_per_rad * twist + self.shaft_Nm_s_per_rad * (v - speed_behind)
-                speed_behind = speed_behind + _STEP_S * shaft / self.behind_kg_m2
-            turning = torque + self.ripple_Nm * np.sin(5.0 * x + 0.7) - friction - shaft
-            v = v + _STEP_S * turning / (self.inertia_kg_m2 - self.behind_kg_m2)
-            x = x + _STEP_S * v
-            twist = twist + _STEP_S * (v - speed_behind)
+                speed_behind += _STEP_S * shaft / self.behind_kg_m2
+            turning = torque + self.ripple_Nm * math.sin(5.0 * x + 0.7) - friction - shaft
+            v += _STEP_S * turning / (self.inertia_kg_m2 - self.behind_kg_m2)
+            x += _STEP_S * v
+            twist += _STEP_S * (v - speed_behind)
             if k % _EVERY == 0:
-                rows.append((x.copy(), torque + self.offset_Nm + self.noise_Nm * rng.standard_normal(repeats)))
+                angles.append(x)
+                torques.append(torque + self.offset_Nm + self.noise_Nm * next(noise))
         count = _TURN / self.counts_per_turn
-        t_s = np.arange(len(rows)) * _STEP_S * _EVERY
-        return [
-            Recording(
-                {
-                    "t_s": t_s,
-                    "x1_m": count * np.round(np.array([row[0][k] for row in rows]) / count),
-                    "tau1_Nm": np.array([row[1][k] for row in rows]),
-                },
-            )
-            for k in range(repeats)
-        ]
+        counted = count * np.round(np.array(angles) / count)
+        t_s = np.arange(len(angles)) * _STEP_S * _EVERY
+        return Recording({"t_s": t_s, "x1_m": counted, "tau1_Nm": np.array(torques)})
 
 
 def _triangle(t_s: float) -> float:
@@ -93,7 +90,7 @@ def _triangle(t_s: float) -> float:
 
 def _stepped(t_s: float) -> float:
     """A speed for 0.4 s, then another, in both directions, none of them for long."""
-    return 50.0 * float(np.sin(1.0 + 2.4 * (t_s // 0.4) ** 1.5))
+    return 50.0 * math.sin(1.0 + 2.4 * (t_s // 0.4) ** 1.5)
 
 
 def axis_model(inertia_kg_m2: float) -> ModelParameters:

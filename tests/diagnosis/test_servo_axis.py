@@ -58,12 +58,6 @@ def test_an_effect_hidden_in_the_servo_bench_is_named_with_its_size_in_rad_and_N
 
 
 @pytest.mark.slow
-def test_nothing_is_named_on_a_servo_bench_that_hides_nothing() -> None:
-    found = diagnosed(hiding(HIDDEN))
-    assert (found.verdict, found.effects) == ("complete", [])
-
-
-@pytest.mark.slow
 def test_the_step_of_the_shipped_experiment_is_named_beside_what_is_hidden() -> None:
     found = diagnosed(hiding(SHIPPED, ("viscous_friction", {"coefficient_Nm_s_per_rad": 0.006})))
     assert found.verdict == "named"

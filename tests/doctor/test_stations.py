@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.canopen.device_under_test import Idle
 
 import can
 from hilbench.apps.canopen_tools.bus_scan import scan
@@ -88,20 +89,6 @@ def test_an_emergency_stop_on_the_bus_is_no_other_master() -> None:
     assert received.signs_of_master(127) == []
     received = sort_by_node([EMERGENCY_STOP[1]])  # the NMT command alone is one
     assert received.signs_of_master(127) == ["NMT commands (000h, 1 frame)"]
-
-
-class Idle:
-    """Nothing behind the device."""
-
-    listens_to: frozenset[int] = frozenset()
-
-    def before_sync(self) -> None: ...
-
-    def after_sync(self) -> None: ...
-
-    def on_frame(self, frame: Frame) -> None: ...
-
-    def tick(self, duration_s: float) -> None: ...
 
 
 @pytest.fixture

@@ -19,7 +19,6 @@ from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.estimation.web_line.offline import Track
 
 TRUE = stepped(6.0)
-SPLICED = round(STEP_S / CYCLE_S)
 
 
 def rows_of(data: Measurements, rows: Array) -> Measurements:

@@ -16,17 +16,17 @@ from unittest.mock import patch
 
 import pytest
 from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from tests.bench.whole_runs import frames_by_cycle
 from tests.fast_path_runs import (
     CONFIGS,
-    NMT,
+    OPTIONS,
     Change,
     How,
     Samples,
+    between,
     chained_as,
-    download,
     ending_of,
+    events_on_a_line,
     notices_of,
     objects_of,
     sets,
@@ -175,62 +175,25 @@ def sends(*frames: Frame) -> Change:
     return change
 
 
-def writes(node_id: int, index: int, value: int, size: int, sub: int = 0) -> Change:
-    return sends(download(node_id, index, value, size, sub))
-
-
 #: Not a SYNC of somebody else, nor a virtual axis that starts anew: there it depends on who is faster what comes of it,
 #: interpreted, too. `tests/in_process_cycle` has them in one process.
-LINE = [
-    sets("line_speed_m_s", 0.4),
-    sets("tension_control.set_point_N", 90.0),
-    sets("load.web.youngs_modulus_Pa", 10.5e9),
-    sets("hardware.effects.viscous_friction.axis2.coefficient_N_s_per_m", 3.0),
-    writes(1, 0x2001, 0x7305, 2),  # axis 1 fails
-    writes(18, 0x2001, 0x7305, 2),  # a virtual axis does
-    writes(2, 0x6072, 5, 2),  # hardly any torque
-    writes(2, 0x6080, 1, 4),  # overspeed
-    writes(1, 0x1017, 30, 2),  # heartbeats more often
-    writes(32, 0x1017, 0, 2),  # and none
-    writes(3, 0x60B2, 10, 2),  # torque offset
-    sends(Frame(0x182, bytes(8))),
-    sends(Frame(NMT, bytes((0x80, 1)))),
-    sends(Frame(0x001, b"")),
-    sends(Frame(0x123, b"abc")),
-    sends(Frame(0x67F, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0)))),
-]
+LINE = events_on_a_line(sends)
+FRICTION, OVERSPEED, TORQUE_OFFSET = 3, 7, 10
 
 
 @pytest.mark.slow
 def test_a_line_runs_alike_with_set_points_an_effect_and_a_fault(tmp_path: Path) -> None:
-    changes = [(10, LINE[0]), (30, LINE[2]), (50, LINE[3]), (120, LINE[10]), (200, LINE[7])]
+    changes = [(10, LINE[0]), (30, LINE[2]), (50, LINE[FRICTION]), (120, LINE[TORQUE_OFFSET]), (200, LINE[OVERSPEED])]
     left = check(tmp_path, [], changes, cycles=240, least=50)
     assert "axis2 (node 2): is in FAULT" in left.ending
 
 
 @pytest.mark.slow
-@given(
-    changes=st.lists(st.tuples(st.integers(5, 140), st.sampled_from(LINE)), max_size=3),
-    seed=st.integers(0, 99),
-    mirroring=st.sampled_from(["listen", "copy"]),
-    heartbeat_ms=st.sampled_from([0, 37, 100]),
-    virtual_tpdo_every=st.sampled_from([0, 1, 3]),
-)
+@given(changes=between(LINE), options=OPTIONS)
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_line_runs_alike_whatever_comes_between(
-    tmp_path: Path,
-    changes: list[tuple[int, Change]],
-    seed: int,
-    mirroring: str,
-    heartbeat_ms: int,
-    virtual_tpdo_every: int,
+    tmp_path: Path, changes: list[tuple[int, Change]], options: list[str]
 ) -> None:
-    options = [
-        f"seed={seed}",
-        f"mirroring={mirroring}",
-        f"master.heartbeat_ms={heartbeat_ms}",
-        f"twin.virtual_tpdo_every={virtual_tpdo_every}",
-    ]
     check(tmp_path, options, changes, least=0)
 
 

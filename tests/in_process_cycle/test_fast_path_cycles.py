@@ -14,15 +14,17 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from tests.fast_path_runs import (
     CONFIGS,
     NMT,
+    OPTIONS,
     Change,
     How,
+    between,
     chained_as,
     download,
     ending_of,
+    events_on_a_line,
     notices_of,
     objects_of,
     sets,
@@ -151,10 +153,6 @@ def sends(*frames: Frame) -> Change:
     return change
 
 
-def writes(node_id: int, index: int, value: int, size: int, sub: int = 0) -> Change:
-    return sends(download(node_id, index, value, size, sub))
-
-
 def restarts_the_twin(bench: Bench) -> None:
     bench.restart_twin()
 
@@ -164,56 +162,24 @@ def interrupts(bench: Bench) -> None:
 
 
 LINE = [
-    sets("line_speed_m_s", 0.4),
+    *events_on_a_line(sends),
     sets("line_speed_m_s", -0.1),
-    sets("tension_control.set_point_N", 90.0),
-    sets("load.web.youngs_modulus_Pa", 10.5e9),
-    sets("hardware.effects.viscous_friction.axis2.coefficient_N_s_per_m", 3.0),
     restarts_the_twin,
     interrupts,
-    writes(1, 0x2001, 0x7305, 2),  # axis 1 fails
-    writes(18, 0x2001, 0x7305, 2),  # a virtual axis does
-    writes(2, 0x6072, 5, 2),  # hardly any torque
-    writes(2, 0x6080, 1, 4),  # overspeed
-    writes(1, 0x1017, 30, 2),  # heartbeats more often
-    writes(32, 0x1017, 0, 2),  # and none
-    writes(3, 0x60B2, 10, 2),  # torque offset
-    sends(Frame(0x182, bytes(8))),
     sends(Frame(0x080, b"")),
-    sends(Frame(NMT, bytes((0x80, 1)))),
     sends(Frame(NMT, bytes((0x82, 17)))),
-    sends(Frame(0x001, b"")),
-    sends(Frame(0x123, b"abc")),
-    sends(Frame(0x67F, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0)))),
 ]
-LINE_CHANGES = st.lists(st.tuples(st.integers(5, 140), st.sampled_from(LINE)), max_size=3)
 
 
 @pytest.mark.slow
-@given(
-    changes=LINE_CHANGES,
-    seed=st.integers(0, 99),
-    mirroring=st.sampled_from(["listen", "copy"]),
-    heartbeat_ms=st.sampled_from([0, 37, 100]),
-    virtual_tpdo_every=st.sampled_from([0, 1, 3]),
-)
+@given(changes=between(LINE), options=OPTIONS)
 @settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_line_runs_alike_whatever_comes_between(
-    tmp_path: Path,
-    changes: list[tuple[int, Change]],
-    seed: int,
-    mirroring: str,
-    heartbeat_ms: int,
-    virtual_tpdo_every: int,
+    tmp_path: Path, changes: list[tuple[int, Change]], options: list[str]
 ) -> None:
-    settings_ = [
-        f"seed={seed}",
-        f"mirroring={mirroring}",
-        f"master.heartbeat_ms={heartbeat_ms}",
-        f"twin.virtual_tpdo_every={virtual_tpdo_every}",
-        "safety.cycle_timeout_s=2",  # less than the time after which devices go by the wall clock
-    ]
-    loaded = load_with_overrides(CONFIGS / "web_section_step.yaml", changes=settings_)
+    # Less than the time after which devices go by the wall clock.
+    timeout = "safety.cycle_timeout_s=2"
+    loaded = load_with_overrides(CONFIGS / "web_section_step.yaml", changes=[*options, timeout])
     check(tmp_path, loaded, changes, least=0)
 
 
@@ -315,7 +281,7 @@ def test_drives_at_their_limit_are_told_in_the_same_cycles(tmp_path: Path) -> No
 
 def test_a_load_motor_that_its_shaft_turns_too_fast_fails_alike(tmp_path: Path) -> None:
     loaded = load_with_overrides(CONFIGS / "web_section_step.yaml")
-    changes = [(5, writes(3, 0x6080, 100, 4)), (40, sets("line_speed_m_s", 1.0))]  # 6080h: rpm; 1 m/s are 239
+    changes = [(5, sends(download(3, 0x6080, 100, 4))), (40, sets("line_speed_m_s", 1.0))]  # 6080h: rpm; 1 m/s are 239
     left = check(tmp_path, loaded, changes, least=40)
     assert left.ending.startswith("BenchFaultError: load (node 3): is in FAULT")
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
 import numba
 import numpy as np
@@ -216,7 +216,8 @@ _COMMANDS: Mapping[str, Callable[[Axis, Array, np.random.Generator], Array]] = {
 }
 
 
-def _step_through(command: Array, figures: Array, count_rad: float) -> tuple[Array, Array]:
+@numba.njit(cache=True)
+def _simulated(command: Array, figures: Array, count_rad: float) -> tuple[Array, Array]:
     """Measured positions (n,) and torques of the motor (n,) at the samples of the loop."""
     inertia, coulomb, viscous, difference, amplitude, order, phase, unbalance, at, play, warming = figures[:11]
     lag_s, kp, ki, limit, filter_s = figures[11:]
@@ -254,6 +255,3 @@ def _step_through(command: Array, figures: Array, count_rad: float) -> tuple[Arr
             v += step_s * acting / rotor
             x += step_s * v
     return positions, torques
-
-
-_simulated = cast(Callable[[Array, Array, float], tuple[Array, Array]], numba.njit(_step_through))

@@ -119,51 +119,68 @@ class Line:
         return self._run(courses, np.random.default_rng([seed, 17]))
 
     def _run(self, courses: Courses, rng: np.random.Generator) -> Record:
+        """Of several spans `tension_N`, `wander` and `sensor_noise_N` are (K, n)."""
         cycles = len(courses.speed_m_s)
         rows = int(np.floor((cycles - 1) * CYCLE_S / self.row_s + 1e-9)) + 1
         t = np.arange(rows) * self.row_s
         read = t + (np.clip(rng.standard_normal(rows), -3.0, 3.0) * self.jitter_s if self.jitter_s else 0.0)
         read = np.clip(read, 0.0, (cycles - 1) * CYCLE_S)
         axes, ripples = self._axes()
-        late = np.stack([np.maximum(read - axes[k, ph.DELAY_S], 0.0) for k in (0, 1)])
-        out, modulus = ph.run(self._web(), axes, ripples, *courses, read, late)
-        f_at_rows = np.interp(t, np.arange(cycles) * CYCLE_S, courses.tension_N)
-        return self._sensed(np.asarray(t, np.float64), out, modulus, f_at_rows, axes, rng)
+        late = np.stack([np.maximum(read - axis[ph.DELAY_S], 0.0) for axis in axes])
+        of_spans = (np.atleast_2d(each) for each in courses[1:4])
+        courses_of_all = courses.modulus, courses.friction
+        out, webs = ph.run(self._webs(), axes, ripples, courses.speed_m_s, *of_spans, *courses_of_all, read, late)
+        record = self._sensed(np.asarray(t, np.float64), out, webs, axes, rng)
+        if courses.tension_N.ndim == 1:
+            record.channels["F_ref_N"] = np.interp(t, np.arange(cycles) * CYCLE_S, courses.tension_N)
+        return record
 
-    def _sensed(
-        self, t: Array, out: Array, modulus: Array, f_ref: Array, axes: Array, rng: np.random.Generator
-    ) -> Record:
+    def _noise(self, rng: np.random.Generator, rows: int) -> Array:
+        """Of positions, speeds and torques of each axis: (3, N, rows)."""
+        return rng.standard_normal((3, self.rollers, rows))
+
+    def _sensed(self, t: Array, out: Array, webs: Array, axes: Array, rng: np.random.Generator) -> Record:
         count_m = 2.0 * np.pi * self.radius_m / self.gear_ratio / self.encoder_counts
         channels: dict[str, Array] = {"t_s": np.round(t, 9)}
-
-        def noisy(values: Array, deviation: float) -> Array:
-            return values + self.noise * deviation * rng.standard_normal(len(values))
-
-        for k in (0, 1):
-            channels[f"v{k + 1}_cmd_m_s"] = out[:, k].copy()
-        for k in (0, 1):
-            channels[f"x{k + 1}_m"] = np.round(noisy(out[:, 2 + k], self.position_noise_m) / count_m) * count_m
-        for k in (0, 1):
-            channels[f"v{k + 1}_m_s"] = np.round(noisy(out[:, 4 + k], self.speed_noise_m_s), 6)
-        for k in (0, 1):
-            torque = out[:, 6 + k] + axes[k, ph.OFFSET]
-            channels[f"tau{k + 1}_Nm"] = np.round(noisy(torque, self.torque_noise_Nm), 4)
+        truth: dict[str, Array] = {}
+        noise = self.noise * self._noise(rng, len(t))
+        for k in range(self.rollers):
+            command, x, v, torque = out[:, k]
+            channels[f"v{k + 1}_cmd_m_s"] = command.copy()
+            channels[f"x{k + 1}_m"] = np.round((x + self.position_noise_m * noise[0, k]) / count_m) * count_m
+            channels[f"v{k + 1}_m_s"] = np.round(v + self.speed_noise_m_s * noise[1, k], 6)
+            torque_Nm = torque + axes[k, ph.OFFSET] + self.torque_noise_Nm * noise[2, k]
+            channels[f"tau{k + 1}_Nm"] = np.round(torque_Nm, 4)
+            truth |= {
+                f"x{k + 1}_true_m": x.copy(),
+                f"v{k + 1}_true_m_s": v.copy(),
+                f"tau{k + 1}_true_Nm": torque.copy(),
+            }
         channels["strain_prev"] = np.full(len(t), self._strain_prev)
         channels["F_next_N"] = np.full(len(t), self.downstream_N)
-        channels["F_ref_N"] = f_ref
-        if self.measured_tension_N is not None:
-            channels["F_meas_N"] = noisy(out[:, 8], self.measured_tension_N)
+        for number, (tension, strain, modulus) in zip(self._numbers, webs.swapaxes(0, 1), strict=True):
+            truth |= {f"F{number}_true_N": tension.copy(), f"strain{number}": strain.copy()}
+            truth[f"E{number}_true_Pa"] = modulus * self.modulus_Pa
+            if self.measured_tension_N is not None:
+                sensor = self.noise * self.measured_tension_N * rng.standard_normal(len(t))
+                channels[f"F{number}_meas_N"] = tension + sensor
         for name in self.without:
             del channels[name]
-        truth = {"F_true_N": out[:, 8].copy(), "strain": out[:, 9].copy(), "E_true_Pa": modulus * self.modulus_Pa}
-        names = ("x1_true_m", "x2_true_m", "v1_true_m_s", "v2_true_m_s", "tau1_true_Nm", "tau2_true_Nm")
-        truth |= {name: out[:, 2 + k].copy() for k, name in enumerate(names)}
         return Record(channels, truth)
 
     @property
     def rollers(self) -> int:
         """Driven ones."""
         return 2
+
+    @property
+    def _numbers(self) -> Sequence[str]:
+        """Of the spans, as signals have them."""
+        return ("",)
+
+    def _webs(self) -> Array:
+        """What `physics` knows of the webs, by span."""
+        return self._web()[None]
 
     @property
     def _stiffness_N(self) -> float:
@@ -228,7 +245,7 @@ class Line:
         web[[ph.LENGTH, ph.STIFFNESS, ph.UPSTREAM_N, ph.DOWNSTREAM_N, ph.STRAIN_PREV]] = (
             self.length_m, self._stiffness_N, self.upstream_N, self.downstream_N, self._strain_prev,
         )  # fmt: skip
-        web[[ph.STEP_TIME, ph.RAMP_S]] = np.inf, 1.0
+        web[[ph.STEP_TIME, ph.RAMP_S, ph.SPLICE_EVERY]] = np.inf, 1.0, np.inf
         web[[ph.CYCLE_S, ph.TENSION_KP, ph.TENSION_KI]] = CYCLE_S, self.tension_kp, self.tension_ki_per_s
         web[[ph.SENSOR_S, ph.SENSES_FORCE]] = 0.05, float(self.controls_force)
         for item in self.hidden:
@@ -255,6 +272,10 @@ class Line:
                 case "upstream_disturbance":
                     web[[ph.WAVE_N, ph.WAVE_HZ, ph.WAVE_PHASE]] = (
                         values["amplitude_N"], values["frequency_Hz"], values.get("phase_rad", 0.0),
+                    )  # fmt: skip
+                case "splice":
+                    web[[ph.SPLICE_TIME, ph.SPLICE_LENGTH, ph.SPLICE_CHANGE]] = (
+                        values["time_s"], values["length_m"], values["relative_change"],
                     )  # fmt: skip
                 case "passing_splices":
                     web[[ph.SPLICE_EVERY, ph.SPLICE_LENGTH, ph.SPLICE_CHANGE]] = (

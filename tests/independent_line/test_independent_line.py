@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from tests.independent_line import PROFILES, STEP_OF_E, Line, Loops, effect
@@ -98,13 +96,6 @@ def test_the_same_line_records_the_same_bits(profile: str) -> None:
 def test_what_it_can_not_hide_it_says() -> None:
     with pytest.raises(ValueError, match="can't hide 'magic'"):
         Line(hidden=[effect("magic", 1)]).record("production", duration_s=2.0)
-
-
-@pytest.mark.slow
-def test_of_one_span_the_line_of_several_is_the_same_machine() -> None:
-    several = LineOfSpans(lengths_m=(1.0,), loops=Loops()).record("production", seed=2, duration_s=5.0)
-    one = replace(BELOW_LIMITS, noise=1.0).record("production", seed=2, duration_s=5.0)
-    assert several.truth["F1_true_N"] == pytest.approx(one.truth["F_true_N"], abs=1e-8)
 
 
 @pytest.mark.slow

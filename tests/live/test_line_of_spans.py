@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.bench.whole_runs import Shipped
 
 from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.errors import EXIT_PASSED
 from hilbench.live.watch import Watch
 from hilbench.live.web_line import LiveLine
 from hilbench.plant.web_line.line_follower import LineFollower
@@ -89,13 +89,12 @@ def test_what_was_found_can_be_bounded_by_its_span() -> None:
 
 
 @pytest.fixture(scope="module")
-def friction(tmp_path_factory: pytest.TempPathFactory) -> RunOutcome:
-    return run_experiment(LOADED, tmp_path_factory.mktemp("runs"), participants=Participants.IN_PROCESS)
+def friction(shipped: Shipped) -> RunOutcome:
+    return shipped("live_line_friction")
 
 
 @pytest.mark.slow
 def test_friction_of_an_axis_is_in_the_model_and_out_of_it_again(friction: RunOutcome) -> None:
-    assert friction.exit_code == EXIT_PASSED, [each for each in friction.result.criteria if not each.passed]
     came, went = friction.result.found or []
     assert (came.effect, came.axis, came.span, came.gone) == ("coulomb_friction", 3, None, False)
     assert (went.effect, went.axis, went.gone) == ("coulomb_friction", 3, True)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tests.bench.late_senders import late
 from tests.bench.missed_cycles import missed
+from tests.bench.whole_runs import Shipped
 
 from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle.participants import Participants
@@ -27,27 +28,15 @@ FRICTION_Nm, TORQUE_NOISE_Nm = 5.0 * 0.2 / 5.0, 0.05
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 
 
-def run(name: str, out: Path, *changes: str) -> RunOutcome:
-    loaded = load_with_overrides(CONFIGS / f"{name}.yaml", changes=changes)
-    return run_experiment(loaded, out, participants=Participants.IN_PROCESS)
-
-
 @pytest.fixture(scope="module")
-def friction(tmp_path_factory: pytest.TempPathFactory) -> RunOutcome:
-    return run("live_friction", tmp_path_factory.mktemp("runs"))
-
-
-@pytest.mark.slow
-def test_friction_that_comes_and_goes_is_in_the_model_and_out_of_it_again(friction: RunOutcome) -> None:
-    assert friction.exit_code == EXIT_PASSED, [each for each in friction.result.criteria if not each.passed]
+def friction(shipped: Shipped) -> RunOutcome:
+    return shipped("live_friction")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["live_eccentricity", "live_slip"])
-def test_what_comes_while_the_line_produces_is_in_the_model_within_a_minute(name: str, tmp_path: Path) -> None:
-    outcome = run(name, tmp_path)
-    assert outcome.exit_code == EXIT_PASSED, [each for each in outcome.result.criteria if not each.passed]
-    (came,) = outcome.result.found or []
+def test_what_comes_while_the_line_produces_is_in_the_model_within_a_minute(name: str, shipped: Shipped) -> None:
+    (came,) = shipped(name).result.found or []
     assert came.named_after_s is not None
     # By the first search: the next has data of twice the time.
     assert came.named_after_s < 2.0 * LiveDiagnosisConfig().window_s

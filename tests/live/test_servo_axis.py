@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tests.bench.late_senders import late
 from tests.bench.missed_cycles import missed
+from tests.bench.whole_runs import Shipped
 
 from hilbench.apps.report.html import write_report
 from hilbench.bench.lifecycle.participants import Participants
@@ -70,25 +71,22 @@ def test_a_shaft_is_not_looked_at_behind_rows_that_came_late_while_its_load_moto
     assert 0.1 < CYCLE_S * len(found) < 0.3
 
 
-def run(out: Path, steps: list[dict[str, object]] | None = None) -> RunOutcome:
-    """The shipped experiment, or another one, in which nothing is to be found."""
-    loaded = LOADED
-    if steps is not None:
-        data = loaded.config.model_dump()
-        data["steps"] = steps
-        data["criteria"] = [{"name": "nothing is found", "metric": "found.count", "max": 0.0}]
-        loaded = LoadedConfig(type(loaded.config).model_validate(data), loaded.document)
+def run(out: Path, steps: list[dict[str, object]]) -> RunOutcome:
+    """Another experiment than the shipped one, in which nothing is to be found."""
+    data = LOADED.config.model_dump()
+    data["steps"] = steps
+    data["criteria"] = [{"name": "nothing is found", "metric": "found.count", "max": 0.0}]
+    loaded = LoadedConfig(type(LOADED.config).model_validate(data), LOADED.document)
     return run_experiment(loaded, out, participants=Participants.IN_PROCESS)
 
 
 @pytest.fixture(scope="module")
-def friction(tmp_path_factory: pytest.TempPathFactory) -> RunOutcome:
-    return run(tmp_path_factory.mktemp("runs"))
+def friction(shipped: Shipped) -> RunOutcome:
+    return shipped("live_servo_friction")
 
 
 @pytest.mark.slow
 def test_friction_that_comes_and_goes_is_in_the_model_and_out_of_it_again(friction: RunOutcome) -> None:
-    assert friction.exit_code == EXIT_PASSED, [each for each in friction.result.criteria if not each.passed]
     came, went = friction.result.found or []
     assert (came.effect, came.axis, came.span, came.gone) == ("coulomb_friction", 1, None, False)
     low, high = came.parameters["torque_Nm"].ci95

@@ -66,7 +66,7 @@ RUNNING = "document.body.dataset.condition === 'running' && document.querySelect
 
 def test_a_run_is_watched_changed_and_stopped_by_two(browser: Browser, tmp_path: Path) -> None:
     path = config(tmp_path, steps=ENDLESS)
-    server, run = Server(path), start(path)
+    server, run = Server(path), start(path, report=True)
     anna, ben = opened(browser, server.address), opened(browser, server.address)
     for page in (anna, ben):
         until(page, RUNNING)

@@ -23,7 +23,7 @@ EMCY = " 0A0#"
 
 
 def recorded(path: Path) -> Recording:
-    code, _, said = run_here(path, "--no-report")
+    code, _, said = run_here(path)
     assert code == 0, said
     return read_recording(run_folders(path)[0] / "recording.mf4")
 

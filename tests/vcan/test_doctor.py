@@ -13,8 +13,8 @@ import threading
 from pathlib import Path
 
 import pytest
+from tests.canopen.device_under_test import Idle
 
-from hilbench.can.frame import Frame
 from hilbench.can.open import BusAddress, open_link, open_python_can
 from hilbench.canopen.clock import MonotonicClock
 from hilbench.canopen.device import Device
@@ -26,20 +26,6 @@ pytestmark = pytest.mark.vcan
 
 EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
 NODE = 5
-
-
-class Idle:
-    """Nothing behind the device."""
-
-    listens_to: frozenset[int] = frozenset()
-
-    def before_sync(self) -> None: ...
-
-    def after_sync(self) -> None: ...
-
-    def on_frame(self, frame: Frame) -> None: ...
-
-    def tick(self, duration_s: float) -> None: ...
 
 
 def test_interface_and_stranger_are_seen_and_read() -> None:
