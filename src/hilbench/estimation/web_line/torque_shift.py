@@ -153,27 +153,20 @@ def _is_noticed(s: Record, block_N: float, block_per_Pa: float) -> bool:
 
 
 @compiled
-def _has_changed_again(s: Record, f: float, h: float) -> bool:
-    """True if neither line that the blocks since the change are on goes on through those that come: there was another
-    change."""
-    if s.count < 2.0 * _LEAST:
-        return False
-    modulus_Pa, shift_N = s.fh / s.hh, (s.f - s.modulus_Pa * s.h) / s.count
-    s.left_by_modulus_N += (f - modulus_Pa * h - s.left_by_modulus_N) / _RECENT
-    s.left_by_shift_N += (f - s.modulus_Pa * h - shift_N - s.left_by_shift_N) / _RECENT
-    least_N = _CHANGED_NOISES * sqrt(s.slowness * s.variance_N2 / (2.0 * _RECENT))
-    return min(abs(s.left_by_modulus_N), abs(s.left_by_shift_N)) > max(least_N, 0.5 * _CHANGED * abs(s.f / s.count))
-
-
-@compiled
 def _explain(s: Record, f: float, h: float, may_decide: bool, deviation_N: float) -> bool:
     if s.hits > 0.0:
         s.hits -= 1.0
         s.web_last_per_Pa = h
         return False
-    if _has_changed_again(s, f, h):
-        reset(s)
-        return False
+    if s.count >= 2.0 * _LEAST:
+        shift_N = (s.f - s.modulus_Pa * s.h) / s.count
+        s.left_by_modulus_N += (f - s.fh / s.hh * h - s.left_by_modulus_N) / _RECENT
+        s.left_by_shift_N += (f - s.modulus_Pa * h - shift_N - s.left_by_shift_N) / _RECENT
+        left_N = min(abs(s.left_by_modulus_N), abs(s.left_by_shift_N))
+        noise_N = sqrt(s.slowness * s.variance_N2 / (2.0 * _RECENT))
+        if left_N > max(_CHANGED_NOISES * noise_N, 0.5 * _CHANGED * abs(s.f / s.count)):
+            reset(s)
+            return False
     df, dh = f - s.last_N, h - s.web_last_per_Pa
     late_N = LATE * s.modulus_Pa * dh
     weight = s.variance_N2 / (s.variance_N2 + late_N * late_N)
