@@ -91,18 +91,20 @@ def test_a_joint_that_was_none_leaves_no_trace_in_the_spans_behind(monkeypatch: 
 
     def found(finder: SpliceFinder, now: object, before_m: float, seeming: float) -> Entered | None:
         asked.append(before_m)
-        if len(asked) == 1:
+        if len(asked) in (1, 301):
             return Entered(Joint(before_m, 0.15, float("inf")))
-        return Entered(None) if len(asked) == 150 else None
+        return Entered(None) if len(asked) in (150, 350) else None
 
     monkeypatch.setattr(SpliceFinder, "update", found)
     both.go(7.0)
-    assert len(asked) > 150
+    assert len(asked) > 350
     told = both.table()
     later = told["t_s"] > 5.0 + 151 * CYCLE_S + 0.1
+    later &= (told["t_s"] < 5.0 + 300 * CYCLE_S) | (told["t_s"] > 5.0 + 351 * CYCLE_S + 0.1)
     for span in (1, 2, 3):
         np.testing.assert_allclose(told[f"F{span}_sim_N"][later], told[f"F{span}_true_N"][later], rtol=1.5e-3)
-        assert error(told, span, 5.7, 7.0) < 0.01
+        assert error(told, span, 5.7, 5.9) < 0.01
+        assert error(told, span, 6.4, 7.0) < 0.01
 
 
 @pytest.mark.parametrize("change", [0.12, *slow(-0.08, -0.15)])

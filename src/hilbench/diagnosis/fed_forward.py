@@ -60,13 +60,13 @@ def without_excess(space: Space, proposer: Proposer, selection: Selection, data:
     """The measurement with the dry friction that is fed forward beyond what there is taken back; None where there is
     none that is certain."""
     found, predictor = selection.fit, space.predictor
-    dry = [term for term in proposer.direct() if term.effect.id == "coulomb_friction"]
-    if not isinstance(predictor, OnMeasuredMotion) or not dry or _lacking(selection) > _FED_FORWARD:
+    if not isinstance(predictor, OnMeasuredMotion) or _lacking(selection) > _FED_FORWARD:
         return None
-    of_any_sign = tuple(replace(each, lower=-each.upper) for each in dry[0].effect.parameters)
-    friction = replace(dry[0], effect=replace(dry[0].effect, parameters=of_any_sign))
-    if any(map(friction.overlaps, found.terms)):
+    free = (term for term in proposer.direct() if not any(map(term.overlaps, found.terms)))
+    if (dry := next((term for term in free if term.effect.id == "coulomb_friction"), None)) is None:
         return None
+    of_any_sign = tuple(replace(each, lower=-each.upper) for each in dry.effect.parameters)
+    friction = replace(dry, effect=replace(dry.effect, parameters=of_any_sign))
     beside = fitted(space, [*found.terms, friction])
     moved, rows = beside.terms[-1].moved, predictor.rows
     chance = uncertainty_of(space, beside).chance(strength_parts(beside.terms)[-1], moved)
@@ -82,9 +82,9 @@ def _lacking(selection: Selection) -> float:
     """Relative change of the inertia in the torque that was found; 0 without."""
     signs = {("inertia_mismatch", None): 1.0, ("feed_forward", "inertia_share"): -1.0}
     return sum(
-        signs.get((term.effect.id, term.part), 0.0) * float(term.moved[0])
+        signs[term.effect.id, term.part] * float(term.moved[0])
         for term in selection.fit.terms
-        if not term.has_phase
+        if (term.effect.id, term.part) in signs
     )
 
 

@@ -145,8 +145,8 @@ class SpliceTracker:
         first.put()
         if entered.joint is None:  # the spans behind were entered by web of a joint that was none
             for behind in self._spans[1:]:
-                of_behind = behind.tracking
-                of_behind.believe(of_behind.known(), of_behind.strain + behind.without_joint)
+                behind.tracking.believe(behind.tracking.known(), behind.tracking.strain + behind.without_joint)
+                behind.without_joint = 0.0
         self._state["seeming"] = 1.0 / entered.strain_ratio
 
     def _known_before(self, joint: Joint | None) -> Known:
