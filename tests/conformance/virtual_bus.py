@@ -9,6 +9,7 @@ from tests.canopen.device_under_test import HandClock
 
 from hilbench.apps.conformance.description import Description
 from hilbench.apps.conformance.dut import DeviceUnderTest
+from hilbench.apps.conformance.wire import Wire
 from hilbench.apps.devices.application import DrivesApplication
 from hilbench.apps.devices.behaviour import Behaviour
 from hilbench.apps.devices.simulation import simulated_axes
@@ -19,7 +20,7 @@ _STEP_NS = 1_000_000
 SERVO_EDS = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"
 
 
-class VirtualBus:
+class VirtualBus(Wire):
     """The wire of an examiner. Faults are put in by `says` and `hears` (another frame, or None), and by `steps`, which
     are done before the drive looks at anything."""
 

@@ -127,9 +127,9 @@ class Line:
         read = np.clip(read, 0.0, (cycles - 1) * CYCLE_S)
         axes, ripples = self._axes()
         late = np.stack([np.maximum(read - axis[ph.DELAY_S], 0.0) for axis in axes])
-        of_spans = (np.atleast_2d(each) for each in courses[1:4])
-        courses_of_all = courses.modulus, courses.friction
-        out, webs = ph.run(self._webs(), axes, ripples, courses.speed_m_s, *of_spans, *courses_of_all, read, late)
+        speed_m_s, *of_spans, modulus, friction = courses
+        wanted, wander, noise = (np.atleast_2d(each) for each in of_spans)
+        out, webs = ph.run(self._webs(), axes, ripples, speed_m_s, wanted, wander, noise, modulus, friction, read, late)
         record = self._sensed(np.asarray(t, np.float64), out, webs, axes, rng)
         if courses.tension_N.ndim == 1:
             record.channels["F_ref_N"] = np.interp(t, np.arange(cycles) * CYCLE_S, courses.tension_N)
