@@ -246,6 +246,19 @@ def test_a_late_torque_is_compensated() -> None:
     assert np.abs(found.E_Pa / true - 1.0)[-500:].max() < 2e-3
 
 
+@pytest.mark.parametrize("change", [0.7, 1.3])
+def test_a_step_of_e_teaches_no_friction(change: float) -> None:
+    """While the loops settle behind it neither torque nor strain is what a web of another E shows at rest."""
+    uniform = np.full(6000, OLD_PA)
+    steps = np.where(np.arange(6000) < 3000, OLD_PA, change * OLD_PA)
+    without, found = (
+        {error.name: error.value for error in tracked(measured(true), ChangepointConfig()).errors}
+        for true in (uniform, steps)
+    )
+    assert found["dry_friction_N"] == pytest.approx(without["dry_friction_N"], abs=0.3)
+    assert found["torque_offset_Nm"] == pytest.approx(without["torque_offset_Nm"], abs=0.01)
+
+
 def test_plausibility_needs_a_change_before_it_calls_a_torque_frozen() -> None:
     judge = Plausibility(9.0, 0.0, 1e-6, CYCLE_S)
     assert {judge.problem(1.0, 1e-5, 3.0) for _ in range(100)} == {None}
