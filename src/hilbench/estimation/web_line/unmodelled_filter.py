@@ -79,7 +79,7 @@ FILTER = np.dtype(
         ("wobble", "f8", (4,)),
         # Tension at the reference E: of the block before; means over the blocks before the last, and over more of them;
         # what regressors are formed with; its usual value, and mean square deviations from it and from `lagged_N`; time
-        # since it was in transition.
+        # since it was in transition, and over which regressors are averaged.
         *record_type("web_before_N", "lagged_N", "mean_N", "regressor_N", "usual_web_N", "web_change_N2").descr,
         *record_type("lag_change_N2", "settled_s", "regressor_s", "beyond_N").descr,
         # Share of the last block at rest; whether all states are estimated; how long the speed still counts as
@@ -109,8 +109,8 @@ _MEAN_S, _LEAST_CHANGE, _CHANGE_S = 5.0, 0.01, 60.0
 #: A tension that deviates from the mean of the previous blocks by more, and by more than usual, is in transition: the
 #: separation of creep and scale then depends on a timing that no measurement resolves.
 _TRANSITION = 0.005
-#: Settling time of the loops: for so long after it data count for a change of speed, and from then on for one of the
-#: tension, s.
+#: Settling time of the loops, s: for so long after it data count for a change of speed, from then on for one of the
+#: tension. Behind a jump of E nothing is learned before, from a torque and a motion that swing.
 SETTLES_S = 0.3
 #: Speed at which friction at the onset has vanished (Stribeck), m/s.
 STRIBECK_M_S = 0.25
@@ -280,8 +280,8 @@ def _predict(f: Record, duration_s: float, changed_m_s: float) -> None:
 @compiled
 def _innovation(f: Record, y_N: float) -> float:
     """Innovation of a block mean, N; its covariances with the states go into `row`. The tension's deviation from its
-    regressor is subtracted at the E that converts strains to forces: the regressor is then free of the block's noise,
-    and the innovation of the regressor's lag."""
+    regressor is subtracted at the estimate of E: the regressor is then free of the block's noise, and the innovation of
+    the regressor's lag."""
     x, p, row = f.x, f.covariance, f.row
     expected_N = 0.0
     for i in range(STATES):
