@@ -153,7 +153,6 @@ class UnmodelledEffects:
         s["position_noise"] = NoiseLevel(POSITION_NOISE_M, POSITION_FLOOR_M).state
         s["unrest_N2"] = f.least_unrest_N2(s["tension_N"])
         s["x"][f.E] = s["modulus"] = 1.0
-        s["jumped_s"] = f.SETTLES_S
         s["covariance"] = np.diag(s["prior"])
         s["covariance"][f.E, f.E], s["covariance"][f.DISTURBANCE, f.DISTURBANCE] = _INITIAL_E**2, s["unrest_N2"]
         s["spread_N"] = hypot(deviations[f.OFFSET], deviations[f.DRY])

@@ -81,12 +81,12 @@ FILTER = np.dtype(
         # what regressors are formed with; its usual value, and mean square deviations from it and from `lagged_N`; time
         # since it was in transition, and over which regressors are averaged.
         *record_type("web_before_N", "lagged_N", "mean_N", "regressor_N", "usual_web_N", "web_change_N2").descr,
-        *record_type("lag_change_N2", "settled_s", "regressor_s", "beyond_N").descr,
+        *record_type("lag_change_N2", "settled_s", "anew_s", "beyond_N").descr,
         # Share of the last block at rest; whether all states are estimated; how long the speed still counts as
         # changing, and the speed while it does not; time until the next evaluation of the evidence.
         *record_type("at_rest", "excited", "speeds_up_s", "steady_m_s", "evidence_s").descr,
         # Innovations: their square over what is expected; time since E has jumped.
-        *record_type("excess", "surprised", "leaning", "jumped_s").descr,
+        *record_type("excess", "surprised", "leaning", "jumped_s", "settling_s").descr,
         # E that strains are turned into forces with; stated E, its lags, its variance.
         *record_type("modulus", "stated", "soon_before", "before", "unrest_N2", "stated_jumped").descr,
         *[(name, "f8", (noise_level.SIZE,)) for name in ("torque_noise", "position_noise")],
@@ -111,7 +111,7 @@ _MEAN_S, _LEAST_CHANGE, _CHANGE_S = 5.0, 0.01, 60.0
 _TRANSITION = 0.005
 #: Settling time of the loops, s: for so long after it data count for a change of speed, from then on for one of the
 #: tension. Behind a jump of E nothing is learned before, from a torque and a motion that swing.
-SETTLES_S = 0.3
+_SETTLES_S = 0.3
 #: Speed at which friction at the onset has vanished (Stribeck), m/s.
 STRIBECK_M_S = 0.25
 #: Change of speed that changes friction as much as its time constant does, m/s.
@@ -342,29 +342,31 @@ def _block(f: Record, y_N: float, noise_N2: float, duration_s: float) -> None:
     innovation_N = _innovation(f, y_N)
     variance_N2 = _spread(f) + noise_N2
     size = innovation_N / sqrt(variance_N2)
+    f.jumped_s += duration_s
     f.excess += duration_s / _EXCESS_S * (min(size * size, _MOST_EXCESS) - f.excess)
     if abs(size) > CERTAIN and f.surprised == 0.0:
         f.surprised = 1.0
         return
-    freed, settling = 0.0, f.jumped_s < SETTLES_S
-    f.jumped_s += duration_s
-    settled = f.jumped_s >= SETTLES_S
+    freed, settling = 0.0, f.settling_s > 0.0
+    f.settling_s = max(f.settling_s - duration_s, 0.0)
     if abs(size) > CERTAIN or f.stated_jumped != 0.0:
-        freed, f.jumped_s, settled = _JUMP, 0.0, False
+        freed, f.jumped_s = _JUMP, 0.0
+        f.settling_s = _SETTLES_S if f.speeds_up_s == 0.0 else 0.0
     else:
         f.leaning += (size - f.leaning) / _LEANING_BLOCKS
         if abs(f.leaning) > _LEANS / sqrt(2.0 * _LEANING_BLOCKS):
             freed = _SMALL_JUMP
-        if settling and settled:  # what the loops' transient showed of E is off by more than noise
+        if settling and f.settling_s == 0.0:  # what the loops' transient showed of E is off by more than noise
             freed = _JUMP
     f.surprised = 0.0
     if freed != 0.0:
         f.covariance[E, E] += freed * freed
         f.leaning = 0.0
-        f.regressor_N, f.regressor_s = f.sums[E], duration_s
+        if f.settling_s > 0.0 or settling:
+            f.regressor_N, f.anew_s = f.sums[E], _MEAN_S - duration_s
         innovation_N = _innovation(f, y_N)
         variance_N2 = _spread(f) + noise_N2
-    _correct(f, innovation_N, variance_N2, f.excited != 0.0 and settled)
+    _correct(f, innovation_N, variance_N2, f.excited != 0.0 and f.settling_s == 0.0)
 
 
 @compiled
@@ -381,22 +383,22 @@ def _look_for_excitation(f: Record, web_N: float, duration_s: float) -> None:
     f.speeds_up_s = max(f.speeds_up_s - duration_s, 0.0)
     starts = abs(f.usual_m_s) <= f.standstill_m_s and f.sums[STUCK] < _STARTS
     if starts or abs(f.smooth_m_s - f.usual_m_s) > _SAME_SPEED_M_S:
-        f.speeds_up_s = SETTLES_S
+        f.speeds_up_s = _SETTLES_S
     if f.speeds_up_s > 0.0:
         f.steady_m_s = f.usual_m_s
     f.steady_m_s += duration_s / (_MEAN_S + duration_s) * (f.usual_m_s - f.steady_m_s)
     lag_N = web_N - f.lagged_N
     lag_N2 = max(f.lag_change_N2, (_TRANSITION * f.tension_N / CERTAIN) ** 2)
-    in_transition = f.settled_s == 0.0
     f.settled_s = f.settled_s + duration_s if abs(lag_N) < CERTAIN * sqrt(lag_N2) else 0.0
     f.lag_change_N2 += duration_s / _MEAN_S * (min(lag_N * lag_N, MOST_SQUARE * lag_N2) - f.lag_change_N2)
-    f.excited = 1.0 if f.speeds_up_s > 0.0 or (tension_changes and f.settled_s > SETTLES_S) else 0.0
+    f.excited = 1.0 if f.speeds_up_s > 0.0 or (tension_changes and f.settled_s > _SETTLES_S) else 0.0
     f.lagged_N += duration_s / (_LAG_S + duration_s) * (f.web_before_N - f.lagged_N)
     f.web_before_N = web_N
-    memory_s = _REGRESSOR_S if tension_changes or f.speeds_up_s > 0.0 else _MEAN_S
-    f.regressor_s = 0.0 if in_transition and f.settled_s > 0.0 else min(f.regressor_s, memory_s)
-    f.regressor_N += duration_s / (f.regressor_s + duration_s) * (web_N - f.regressor_N)
-    f.regressor_s += duration_s
+    if f.anew_s > 0.0:  # since E has jumped
+        f.anew_s = max(f.anew_s - duration_s, 0.0)
+        f.regressor_N += duration_s / (_MEAN_S - f.anew_s) * (web_N - f.regressor_N)
+    else:
+        f.regressor_N = f.mean_N if tension_changes or f.speeds_up_s > 0.0 else f.usual_web_N
 
 
 @compiled
