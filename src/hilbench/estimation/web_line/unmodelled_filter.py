@@ -86,7 +86,7 @@ FILTER = np.dtype(
         # changing, and the speed while it does not; time until the next evaluation of the evidence.
         *record_type("at_rest", "excited", "speeds_up_s", "steady_m_s", "evidence_s").descr,
         # Innovations: their square over what is expected; time since E has jumped.
-        *record_type("excess", "surprised", "leaning", "jumped_s", "settling_s").descr,
+        *record_type("excess", "surprised", "leaning", "jumped_s", "was_steady", "settling_s").descr,
         # E that strains are turned into forces with; stated E, its lags, its variance.
         *record_type("modulus", "stated", "soon_before", "before", "unrest_N2", "stated_jumped").descr,
         *[(name, "f8", (noise_level.SIZE,)) for name in ("torque_noise", "position_noise")],
@@ -344,6 +344,8 @@ def _block(f: Record, y_N: float, noise_N2: float, duration_s: float) -> None:
     size = innovation_N / sqrt(variance_N2)
     f.jumped_s += duration_s
     f.excess += duration_s / _EXCESS_S * (min(size * size, _MOST_EXCESS) - f.excess)
+    if f.surprised == 0.0:
+        f.was_steady = 1.0 if f.speeds_up_s == 0.0 else 0.0
     if abs(size) > CERTAIN and f.surprised == 0.0:
         f.surprised = 1.0
         return
@@ -351,7 +353,7 @@ def _block(f: Record, y_N: float, noise_N2: float, duration_s: float) -> None:
     f.settling_s = max(f.settling_s - duration_s, 0.0)
     if abs(size) > CERTAIN or f.stated_jumped != 0.0:
         freed, f.jumped_s = _JUMP, 0.0
-        f.settling_s = _SETTLES_S if f.speeds_up_s == 0.0 else 0.0
+        f.settling_s = _SETTLES_S * f.was_steady
     else:
         f.leaning += (size - f.leaning) / _LEANING_BLOCKS
         if abs(f.leaning) > _LEANS / sqrt(2.0 * _LEANING_BLOCKS):
