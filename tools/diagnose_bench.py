@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -21,11 +22,11 @@ import docs_page
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
-#: What is shown of a run, by whichever of these its machine has.
+#: What is shown of a run; of several axes or spans the largest.
 FIGURES = (
-    ("torque_residual_rms_Nm",),
-    ("tension_deviation_mean_N", "friction_deviation_mean_Nm"),
-    ("E_bias_pct", "J_bias_pct"),
+    re.compile(r"torque_residual(_axis\d)?_rms_Nm"),
+    re.compile(r"tension\d?_deviation_mean_N|friction_deviation_mean_Nm"),
+    re.compile(r"[EJ]\d?_bias_pct"),
 )
 
 
@@ -60,8 +61,9 @@ def row(config: Path) -> list[str]:
         tied = f", tied with {', '.join(effect['tied_with'])}" if effect["tied_with"] else ""
         found.append(f"{place(effect)} {', '.join(values)}{tied}")
     live = []
-    for names in FIGURES:
-        live.append(" → ".join(f"{run[name]:.3g}" for run in result["live"] for name in names if name in run))
+    for figure in FIGURES:
+        of_runs = ([value for name, value in run.items() if figure.fullmatch(name)] for run in result["live"])
+        live.append(" → ".join(f"{max(values, key=abs):.3g}" for values in of_runs if values))
     return [config.stem, there, "; ".join(found) or result["verdict"], *live]
 
 
@@ -79,7 +81,7 @@ def _largest(rows: list[docs_page.Row], column: str) -> str:
 
 
 def _before_and_after(rows: list[docs_page.Row], column: str) -> Iterator[tuple[str, ...]]:
-    yield from zip(*(row[column].split(" → ") for row in rows), strict=True)
+    yield from zip(*(row[column].split(" → ") for row in rows if row[column]), strict=True)
 
 
 TENSION, BIAS = "simulated less true tension, N, or friction, N·m", "bias of E, or of the inertia, %"
