@@ -26,13 +26,18 @@ def test_what_is_needed_is_there_to_be_compiled(kind: str) -> None:
         assert name in [each.py_func.__name__ for each in entry_points(import_module(module))], f"{module}.{name}"
 
 
+@pytest.fixture(scope="module")
+def all_is_compiled() -> None:
+    subprocess.run([sys.executable, "-m", "hilbench", "compile"], check=True, stdout=subprocess.DEVNULL)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("all_is_compiled")
 @pytest.mark.parametrize(
     ("kind", "example"), [(kind, example) for kind, examples in EXAMPLES.items() for example in examples]
 )
 def test_a_run_calls_nothing_that_it_has_not_compiled_before(kind: str, example: str, tmp_path: Path) -> None:
     """python tools/needed_code.py makes it so again."""
-    subprocess.run([sys.executable, "-m", "hilbench", "compile"], check=True, stdout=subprocess.DEVNULL)
     assert set(used_by(example, tmp_path)) <= set(needed(kind))
 
 

@@ -6,8 +6,8 @@ Both joints are driven along sums of sines by loops that nobody has told of; enc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,20 +48,8 @@ class Arm:
         (m1, m2), (r1, r2) = self.masses_kg, self.centres_m
         return (m1 * r1 + m2 * self.length_m) * _GRAVITY_M_S2, m2 * r2 * _GRAVITY_M_S2
 
-    @cached_property
-    def _run(self) -> tuple[Array, Array, Array]:
-        """Times (n,), angles (2, n) and torques (2, n)."""
-        t_s = np.arange(0.0, _SECONDS, _PERIOD_S)
-        start = np.concatenate([_wanted(0.0)[0], _wanted(0.0)[1]])
-        found = solve_ivp(self._rates, (0.0, _SECONDS), start, "LSODA", t_s, rtol=1e-7, atol=1e-8)
-        torques = np.array([self._driven(t, q) for t, q in zip(t_s, found.y.T, strict=True)]).T
-        return t_s, found.y[:2], torques
-
-    def _driven(self, t_s: float, state: Array) -> Array:
-        angle, speed = _wanted(t_s)
-        return np.asarray(_STIFF * (angle - state[:2]) + _DAMPED * (speed - state[2:]))
-
-    def _rates(self, t_s: float, state: Array) -> Array:
+    def rates(self, t_s: float, state: Array) -> Array:
+        """Of the angles and their speeds."""
         (q1, q2), (v1, v2) = state[:2], state[2:]
         (m1, m2), (r1, r2), (i1, i2), l1 = self.masses_kg, self.centres_m, self.inertias_kg_m2, self.length_m
         h = m2 * l1 * r2
@@ -72,16 +60,31 @@ class Arm:
         g1, g2 = self.gravity_Nm
         weight = np.array([g1 * np.sin(q1) + g2 * np.sin(q1 + q2), g2 * np.sin(q1 + q2)])
         friction = np.array(self.coulomb_Nm) * np.tanh(np.array([v1, v2]) / 0.01)
-        return np.concatenate([[v1, v2], np.linalg.solve(matrix, self._driven(t_s, state) - swung - weight - friction)])
+        return np.concatenate([[v1, v2], np.linalg.solve(matrix, _driven(t_s, state) - swung - weight - friction)])
 
     def recording(self, joint: int, *, with_other: bool) -> Recording:
         """Of joint 1 or 2, as `x1_rad` and `tau1_Nm`; `x2_rad` is the other's angle."""
-        t_s, angles, torques = self._run
+        t_s, angles, torques = _motion(replace(self, noise_Nm=0.0, zeros_rad=(0.0, 0.0), seed=0))
         rng = np.random.default_rng([self.seed, joint])
         counted = _COUNT_RAD * np.round((angles + np.array(self.zeros_rad)[:, None]) / _COUNT_RAD)
         torque = torques[joint - 1] + self.noise_Nm * rng.standard_normal(len(t_s))
         channels = {"t_s": t_s, "x1_rad": counted[joint - 1], "tau1_Nm": torque}
         return Recording(channels | ({"x2_rad": counted[2 - joint]} if with_other else {}))
+
+
+@cache
+def _motion(arm: Arm) -> tuple[Array, Array, Array]:
+    """Times (n,), angles (2, n) and torques (2, n), whatever is measured of them."""
+    t_s = np.arange(0.0, _SECONDS, _PERIOD_S)
+    start = np.concatenate([_wanted(0.0)[0], _wanted(0.0)[1]])
+    found = solve_ivp(arm.rates, (0.0, _SECONDS), start, "LSODA", t_s, rtol=1e-7, atol=1e-8)
+    torques = np.array([_driven(t, q) for t, q in zip(t_s, found.y.T, strict=True)]).T
+    return t_s, found.y[:2], torques
+
+
+def _driven(t_s: float, state: Array) -> Array:
+    angle, speed = _wanted(t_s)
+    return np.asarray(_STIFF * (angle - state[:2]) + _DAMPED * (speed - state[2:]))
 
 
 def _wanted(t_s: float) -> tuple[Array, Array]:

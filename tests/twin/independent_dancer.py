@@ -14,8 +14,9 @@ from tests.twin.speed_driven import SpeedDriven
 from hilbench.plant.motor_port import MotorPort
 
 Array = np.ndarray
-_DRIVEN, _FREE = [0, 2, 4], [1, 3]
+_DRIVEN, _FREE = slice(0, 5, 2), slice(1, 5, 2)
 _ROLLERS, _SPANS = 5, 4
+_BESIDE_THE_DANCER = np.array([1.0, 1.0, 0.0, 0.0])
 
 
 @dataclass
@@ -44,7 +45,9 @@ class IndependentDancer(SpeedDriven):
 
     def __post_init__(self) -> None:
         strains = np.full(_SPANS, self.entering) if self.strains is None else self.strains
-        unstretched = np.array(self.lengths_m) / (1.0 + strains)
+        self._lengths_m = np.array(self.lengths_m)
+        self._around, self._before = np.zeros(_ROLLERS + 1), np.zeros(_ROLLERS)
+        unstretched = self._lengths_m / (1.0 + strains)
         # Ways and speeds of the rollers' surfaces, the carriage's place and speed, unstretched lengths.
         self._begin(np.concatenate([np.zeros(2 * _ROLLERS + 2), unstretched]))
         self._per_m = self.gear / self.radius_m
@@ -53,7 +56,7 @@ class IndependentDancer(SpeedDriven):
         self._show()
 
     def _strains(self, y: Array) -> Array:
-        lengths = np.array(self.lengths_m) + np.array([1.0, 1.0, 0.0, 0.0]) * y[2 * _ROLLERS]
+        lengths = self._lengths_m + _BESIDE_THE_DANCER * y[2 * _ROLLERS]
         strains: Array = lengths / y[2 * _ROLLERS + 2 :] - 1.0
         return strains
 
@@ -61,13 +64,18 @@ class IndependentDancer(SpeedDriven):
         speeds, moves = y[_ROLLERS : 2 * _ROLLERS], y[2 * _ROLLERS + 1]
         strains = self._strains(y)
         pulls = self.modulus_Pa * self.section_m2 * strains
-        around = np.concatenate([[0.0], pulls, [self.next_N]])
-        around[0] = around[1]  # nobody pulls at the first roller
+        around, before = self._around, self._before
+        around[0], around[1:-1], around[-1] = pulls[0], pulls, self.next_N  # nobody pulls at the first roller
         pushes = around[1:] - around[:-1]
         pushes[_DRIVEN] += self._torque * self._per_m
         lifts = (self.force_N - self.friction_N_s_per_m * moves - pulls[0] - pulls[1]) / self.carriage_kg
-        carried = speeds * (1.0 - self.slip) / (1.0 + np.concatenate([[self.entering], strains]))
-        return np.concatenate([speeds, pushes / self._masses, [moves, lifts], carried[:-1] - carried[1:]])
+        before[0], before[1:] = self.entering, strains
+        carried = speeds * (1.0 - self.slip) / (1.0 + before)
+        rates = np.empty_like(y)
+        rates[:_ROLLERS], rates[_ROLLERS : 2 * _ROLLERS] = speeds, pushes / self._masses
+        rates[2 * _ROLLERS], rates[2 * _ROLLERS + 1] = moves, lifts
+        rates[2 * _ROLLERS + 2 :] = carried[:-1] - carried[1:]
+        return rates
 
     def _motors(self) -> tuple[Array, Array]:
         travels, speeds = self._y[:_ROLLERS], self._y[_ROLLERS : 2 * _ROLLERS]

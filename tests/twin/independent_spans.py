@@ -40,7 +40,9 @@ class IndependentSpans(SpeedDriven):
         n = len(self.lengths_m) + 1
         self.ports = [MotorPort() for _ in range(n)]
         self.stiffness_N = self.modulus_Pa * self.section_m2
-        unstretched = np.array(self.lengths_m) / (1.0 + self.upstream_N / self.stiffness_N)
+        self._lengths_m, self._creeps_per_N = np.array(self.lengths_m), np.array([0.0, *self.creep_per_N])
+        self._around = np.array([self.upstream_N, *self.lengths_m, self.downstream_N])
+        unstretched = self._lengths_m / (1.0 + self.upstream_N / self.stiffness_N)
         self._begin(np.concatenate([np.zeros(2 * n), unstretched]))  # angles, speeds, unstretched lengths
         self._show()
 
@@ -58,20 +60,23 @@ class IndependentSpans(SpeedDriven):
         return self._tensions(self._y[2 * len(self.ports) :])
 
     def _tensions(self, unstretched: Array) -> Array:
-        return self.stiffness_N * (np.array(self.lengths_m) / unstretched - 1.0)
+        return self.stiffness_N * (self._lengths_m / unstretched - 1.0)
 
     def _rates(self, y: Array) -> Array:
         n = len(self.ports)
-        speeds, tensions = y[n : 2 * n], self._tensions(y[2 * n :])
-        around = np.concatenate([[self.upstream_N], tensions, [self.downstream_N]])
+        speeds, around = y[n : 2 * n], self._around
+        around[1:-1] = self._tensions(y[2 * n :])
         pulls = around[1:] - around[:-1]
         pulls[0] = 0.0
         surface = self.radius_m * speeds
-        creeps = surface + np.abs(surface) * np.array([0.0, *self.creep_per_N]) * pulls
+        creeps = surface + np.abs(surface) * self._creeps_per_N * pulls
         strains = around / self.stiffness_N
         passes = creeps / (1.0 + np.where(surface >= 0.0, strains[:-1], strains[1:]))
-        turned = (self.gear * self._torque + self.radius_m * pulls) / self.inertia_kg_m2
-        return np.concatenate([speeds, turned, passes[:-1] - passes[1:]])
+        rates = np.empty_like(y)
+        rates[:n] = speeds
+        rates[n : 2 * n] = (self.gear * self._torque + self.radius_m * pulls) / self.inertia_kg_m2
+        rates[2 * n :] = passes[:-1] - passes[1:]
+        return rates
 
     def _motors(self) -> tuple[Array, Array]:
         n = len(self.ports)

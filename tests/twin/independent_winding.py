@@ -14,6 +14,7 @@ from tests.twin.speed_driven import SpeedDriven
 from hilbench.plant.motor_port import MotorPort
 
 Array = np.ndarray
+_GROWS, _WINDS = np.array([-1.0, 0.0, 1.0]), np.array([1.0, 0.0, 1.0])
 
 
 @dataclass
@@ -42,7 +43,10 @@ class IndependentWinding(SpeedDriven):
     STEPS = 2
 
     def __post_init__(self) -> None:
-        unstretched = np.array(self.lengths_m) / (1.0 + self.wound_strain * np.array(self.strained))
+        self._lengths_m, self._at_first_m = np.array(self.lengths_m), np.asarray(self.radii_m)
+        self._empty_kg_m2 = np.asarray(self.inertia_kg_m2) + self.gear**2 * self.rotor_kg_m2
+        self._around, self._before = np.zeros(4), np.zeros(3)
+        unstretched = self._lengths_m / (1.0 + self.wound_strain * np.array(self.strained))
         self._begin(np.concatenate([np.zeros(6), unstretched]))  # angles, speeds, unstretched lengths
         if self.held:
             pulls = np.concatenate([[0.0], self._tensions(unstretched), [0.0]])
@@ -51,21 +55,23 @@ class IndependentWinding(SpeedDriven):
         self._show()
 
     def _radii(self, angles: Array) -> Array:
-        grow = np.array([-1.0, 0.0, 1.0]) * self.thickness_m * angles / (2.0 * pi)
-        return np.asarray(self.radii_m) + grow
+        return self._at_first_m + _GROWS * self.thickness_m * angles / (2.0 * pi)
 
     def _tensions(self, unstretched: Array) -> Array:
-        return self.modulus_Pa * self.thickness_m * self.width_m * (np.array(self.lengths_m) / unstretched - 1.0)
+        return self.modulus_Pa * self.thickness_m * self.width_m * (self._lengths_m / unstretched - 1.0)
 
     def _rates(self, y: Array) -> Array:
         angles, speeds, unstretched = y[:3], y[3:6], y[6:]
-        radii, pulls = self._radii(angles), np.concatenate([[0.0], self._tensions(unstretched), [0.0]])
-        wound = 0.5 * pi * self.density_kg_m3 * self.width_m * (radii**4 - self.core_m**4) * np.array([1.0, 0.0, 1.0])
-        inertia = np.asarray(self.inertia_kg_m2) + self.gear**2 * self.rotor_kg_m2 + wound
-        turned = (self.gear * self._torque + radii * (pulls[1:] - pulls[:-1])) / inertia
-        strains = np.concatenate([[self.wound_strain], np.array(self.lengths_m) / unstretched - 1.0])
+        radii, pulls, strains = self._radii(angles), self._around, self._before
+        pulls[1:3] = self._tensions(unstretched)
+        wound = 0.5 * pi * self.density_kg_m3 * self.width_m * (radii**4 - self.core_m**4) * _WINDS
+        strains[0], strains[1:] = self.wound_strain, self._lengths_m / unstretched - 1.0
         carried = radii * speeds * (1.0 - self.slip) / (1.0 + strains)
-        return np.concatenate([speeds, turned, carried[:-1] - carried[1:]])
+        rates = np.empty_like(y)
+        rates[:3] = speeds
+        rates[3:6] = (self.gear * self._torque + radii * (pulls[1:] - pulls[:-1])) / (self._empty_kg_m2 + wound)
+        rates[6:] = carried[:-1] - carried[1:]
+        return rates
 
     def _motors(self) -> tuple[Array, Array]:
         return self.gear * self._y[:3], self.gear * self._y[3:6]

@@ -34,6 +34,8 @@ MODEL = CONFIG.web_line
 CYCLE_S = CONFIG.cycle_time_s
 ACCELERATION_M_S2 = 1.0
 TENSION_N = MODEL.boundary.upstream_tension_N
+MASS_KG = MeasuredBalance(MODEL).mass_kg
+RAD_PER_M = (MODEL.motor_rad_per_m(1), MODEL.motor_rad_per_m(2))
 
 
 class Clock(MonotonicClock):
@@ -51,9 +53,9 @@ def motion(time_s: float, tension_N: float = TENSION_N) -> list[tuple[float, flo
     """Both axes' position (rad) and torque (N·m) of a line that starts from rest, with this tension in its web."""
     pull_N = tension_N - MODEL.boundary.downstream_tension_N
     travel_m = 0.5 * ACCELERATION_M_S2 * time_s**2
-    force_N = MeasuredBalance(MODEL).mass_kg * ACCELERATION_M_S2
+    force_N = MASS_KG * ACCELERATION_M_S2
     pulls_N = (force_N - pull_N, force_N + pull_N)
-    return [(travel_m * MODEL.motor_rad_per_m(k), pulls_N[k - 1] / MODEL.motor_rad_per_m(k)) for k in (1, 2)]
+    return [(travel_m * ratio, pull_N / ratio) for ratio, pull_N in zip(RAD_PER_M, pulls_N, strict=True)]
 
 
 def driven_machine() -> TwinMachine:
@@ -121,7 +123,7 @@ class OnTheBus:
         self.clock.time_ns = round(read_at_s * 1e9)
         for port in self.machine.ports:
             port.mode, port.torque_limit_Nm = MotorMode.VELOCITY if enabled else MotorMode.OFF, 9.0
-            port.setpoint = ACCELERATION_M_S2 * time_s * MODEL.motor_rad_per_m(1) if told else 0.0
+            port.setpoint = ACCELERATION_M_S2 * time_s * RAD_PER_M[0] if told else 0.0
         self._application.before_sync(0)
         self._application.after_sync()
         measured = [motion(time_s - late_s, tension_N)[0], motion(time_s, tension_N)[1]]
