@@ -16,6 +16,7 @@ from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks import web_axis_cycle
 from hilbench.bench.tasks.emulated_web import emulated_web, web_load_model
+from hilbench.bench.tasks.limits import line_limit_watch
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
@@ -28,7 +29,6 @@ from hilbench.bench.tasks.tension_watch import TensionWatch, watched_loops
 from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
 from hilbench.bench.tasks.web_entering_strain import EnteringStrain, strains_around
-from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
 from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
 from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelTravel
@@ -113,7 +113,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     sensors = sensors_at_start(emulated_web(model, config.load), config.shape)
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N, sensors)
     load = WebLoadTask(config, partial(reports.note, "load model"))
-    limit_watch = LimitWatch(limits, model, cycle_s, config.shape)
+    limit_watch = line_limit_watch(limits, model, cycle_s, config.shape)
     return MachineTasks(
         reference=line_speed,
         quantities=(

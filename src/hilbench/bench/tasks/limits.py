@@ -1,28 +1,32 @@
-"""Limits of a run: each quantity's warning and trip level, checked in every cycle."""
+"""Limits of a run: each quantity's warning and trip level, checked in every cycle, in nearly every one compiled."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
+from typing import Annotated, Any, NamedTuple
 
-from hilbench.cycle_program import CompiledStage
+import numpy as np
+
+from hilbench.compiled import COUNT, TABLE, Reals, Wholes, Wholes2, arrays_in, entry_point, load, record_type
+from hilbench.cycle_program import CompiledStage, never
 from hilbench.errors import BenchFaultError
-from hilbench.topology.safety import Limit
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.safety import Limit, LimitsConfig
 from hilbench.topology.sample import CycleSample, PerSample
+from hilbench.topology.signals import Shape
 from hilbench.twin.virtual_io import SYNCHRONIZED
 
 #: A warning is over, and can come again, when the quantity has fallen below this share of its level.
 _RELEASE = 0.95
+_NO_LIMIT = Limit()
 
 
 class LimitTripError(BenchFaultError):
     """A quantity went beyond its trip level."""
-
-
-#: What is watched in a cycle: its name, its value (a size), its unit with a space before it, and its levels.
-LimitedValue = tuple[str, float, str, Limit]
 
 
 #: What a compiled look at a sample finds.
@@ -55,27 +59,110 @@ class Limited:
     signed: bool = False
 
 
-class Levels:
-    """Warnings that are on in a run."""
+#: A cycle, s; the least difference of positions and ratio of estimates that are reported; 1 if there has been a sample
+#: since the drives were enabled; 1 if a warning is on.
+_FIGURES = record_type("cycle_s", "apart", "ratio", "started", "warned")
+#: Travel of a cycle, m, from which on an axis itself shows how long a cycle was: one that the bench has missed counts;
+#: and most cycles that do.
+_SHOWS_M, _MOST_CYCLES = 1e-4, 100.0
 
-    def __init__(self) -> None:
-        self._warned: set[str] = set()
 
-    @property
-    def quiet(self) -> bool:
-        """True if no warning is on."""
-        return not self._warned
+class _Arrays(NamedTuple):
+    """A sample; places in it of sizes, with their report thresholds, of estimates, with the model's values, and of
+    positions and set points of the axes; for each axis with the one after it the difference of their positions at the
+    start, what their set points have added up to since, the last position of the latter, and how far they are off: in
+    this sample and the one before, as a single late one is, and in this sample alone."""
 
-    def check(self, t_s: float, quantities: Iterable[LimitedValue]) -> list[tuple[str, str]]:
+    values: Reals
+    words: Wholes
+    sizes_at: Wholes
+    thresholds: Reals
+    estimates_at: Wholes
+    models: Reals
+    positions_at: Wholes
+    commands_at: Wholes
+    at_start: Reals
+    commanded: Reals
+    last: Reals
+    off: Reals
+    off_now: Reals
+    figures: Annotated[Any, _FIGURES]
+
+
+#: look(place of the twin's status, table of `_Arrays`): BELOW_LIMITS where every quantity is below its threshold, and
+#: no warning is on, as in nearly every cycle.
+@entry_point(COUNT, TABLE)
+def _look(status: int, table: Wholes2) -> int:
+    a = arrays_in(table, _Arrays)
+    values, figures = a.values, a.figures
+    loud = 0 if figures.warned == 0.0 else 1
+    for k in range(len(a.off)):
+        position, command, duration_s = values[a.positions_at[k + 1]], values[a.commands_at[k + 1]], figures.cycle_s
+        apart = values[a.positions_at[k]] - position
+        if figures.started == 0.0:
+            a.at_start[k], a.last[k] = apart, position
+        if abs(command) * duration_s > _SHOWS_M:
+            duration_s = min(max((position - a.last[k]) / command, 0.0), _MOST_CYCLES * duration_s)
+        a.commanded[k] += (values[a.commands_at[k]] - command) * duration_s
+        a.last[k] = position
+        off, before = abs(apart - a.at_start[k] - a.commanded[k]), a.off_now[k]
+        a.off[k], a.off_now[k] = before if off > before else off, off
+        loud += not a.off[k] < figures.apart
+    figures.started = 1.0
+    for k in range(len(a.thresholds)):
+        loud += not -a.thresholds[k] < values[a.sizes_at[k]] < a.thresholds[k]
+    if a.words[status] & SYNCHRONIZED != 0:
+        for k in range(len(a.models)):
+            ratio = values[a.estimates_at[k]] / a.models[k]
+            loud += not (ratio > 0.0 and max(ratio, 1.0 / ratio) < figures.ratio)
+    return BELOW_LIMITS if loud == 0 else LIMIT_REACHED
+
+
+class LimitWatch(LimitMonitor):
+    """Check of what is `limited` in the samples of a run; of what is `estimated`, against the model's values by signal
+    (`models`), by `ratio`; of the position differences of a line's axes, by these names, against `difference_m`."""
+
+    def __init__(
+        self,
+        limited: Sequence[Limited],
+        estimated: str,
+        models: Mapping[str, float],
+        ratio: Limit,
+        differences: Sequence[str] = (),
+        difference_m: Limit = _NO_LIMIT,
+        cycle_s: float = 0.0,
+    ) -> None:
+        self._warned: set[str] = set()  # quantities whose warning is on
+        self._limited, self._estimated, self._models, self._ratio = limited, estimated, models, ratio
+        self._differences, self._difference_m = differences, difference_m
+        axes = range(1, len(differences) + 2) if differences else ()
+        positions, commands = [f"x{axis}_m" for axis in axes], [f"v{axis}_cmd_m_s" for axis in axes]
+        self._signals = [each.signal for each in limited], list(models), positions, commands
+        self._since_start = np.zeros((5, len(differences)))
+        figures = cycle_s, _lowest_threshold(difference_m), _lowest_threshold(ratio), 0.0, 0.0
+        self._figures = np.array([figures], _FIGURES)
+        self.look = PerSample(self._on)
+        load(_look)
+
+    def _on(self, sample: CycleSample) -> CompiledStage:
+        sizes, estimates, positions, commands = map(type(sample).places, self._signals)
+        thresholds = np.array([_lowest_threshold(each.limit) for each in self._limited])
+        arrays = _Arrays(
+            *(sample.reals, sample.wholes, sizes, thresholds, estimates, np.array([*self._models.values()])),
+            *(positions, commands, *self._since_start, self._figures),
+        )
+        return CompiledStage(_look, type(sample).place("twin_status"), arrays, continues=BELOW_LIMITS, fallback=never)
+
+    def found(self, sample: CycleSample) -> list[tuple[str, str]]:
         """The warnings that begin in this cycle, each after its quantity.
 
         Raises LimitTripError; no number counts as beyond the trip level.
         """
         warnings = []
-        for name, value, unit, limit in quantities:
+        for name, value, unit, limit in self._quantities(sample):
             if limit.trip is not None and not value <= limit.trip:
                 raise LimitTripError(
-                    f"t = {t_s:.3f} s: {name} is {value:.4g}{unit}, beyond its trip level {limit.trip:g}{unit}"
+                    f"t = {sample.t_s:.3f} s: {name} is {value:.4g}{unit}, beyond its trip level {limit.trip:g}{unit}"
                 )
             if limit.warning is None or value < _RELEASE * limit.warning:
                 self._warned.discard(name)
@@ -83,19 +170,26 @@ class Levels:
                 self._warned.add(name)
                 text = f"{name} is {value:.4g}{unit}, beyond its warning level {limit.warning:g}{unit}"
                 warnings.append((name, text))
+        self._figures["warned"] = bool(self._warned)
         return warnings
 
+    def _quantities(self, sample: CycleSample) -> Iterator[tuple[str, float, str, Limit]]:
+        """What is watched: its name, its value (a size), its unit with a space before it, and its levels."""
+        for each in self._limited:
+            value = getattr(sample, each.signal)
+            yield each.name, value if each.signed else abs(value), f" {each.unit}", each.limit
+        for name, difference_m in zip(self._differences, self._since_start[3].tolist(), strict=True):
+            yield name, difference_m, " m", self._difference_m
+        if is_synchronized(sample):
+            for signal, value in self._models.items():
+                ratio = getattr(sample, signal) / value
+                yield self._estimated, max(ratio, 1.0 / ratio) if ratio > 0.0 else inf, "", self._ratio
 
-def lowest_threshold(limit: Limit) -> float:
-    """The least size of a quantity at which `Levels.check` has anything to do, while no warning is on."""
+
+def _lowest_threshold(limit: Limit) -> float:
+    """The least size of a quantity at which `LimitWatch.found` has anything to do, while no warning is on."""
     levels = (limit.trip, None if limit.warning is None else _RELEASE * limit.warning)
     return min((level for level in levels if level is not None), default=inf)
-
-
-def apart(estimate: float, model: float) -> float:
-    """Ratio of an estimate to the model's value, or its inverse (>= 1); inf for an estimate not above 0."""
-    ratio = estimate / model
-    return max(ratio, 1.0 / ratio) if ratio > 0.0 else inf
 
 
 def is_synchronized(sample: CycleSample) -> bool:
@@ -106,3 +200,60 @@ def is_synchronized(sample: CycleSample) -> bool:
 def load_motor_labels(motors: Sequence[str]) -> dict[str, str]:
     """Names of the load motors in messages, by name."""
     return {name: "the load motor" if len(motors) == 1 else f"load motor {name}" for name in motors}
+
+
+def shaft_limited(limits: LimitsConfig, motor: str) -> list[Limited]:
+    """Signals of a servo axis with this load motor that have limits."""
+    return [
+        Limited("torque of axis 1", "tau1_Nm", "N·m", limits.torque_Nm),
+        Limited("torque of the load motor", f"tau_{motor}_Nm", "N·m", limits.torque_Nm),
+        Limited("speed of axis 1", "v1_rad_s", "rad/s", limits.speed_rad_s),
+    ]
+
+
+def shaft_limit_watch(config: BenchConfig, motor: str) -> LimitWatch:
+    """Limits of a run of a servo axis: its torques, its speed, the deviation of its inertia."""
+    limits, models = config.safety.limits, {"J_sim_kg_m2": config.servo_axis.inertia_kg_m2}
+    return LimitWatch(
+        shaft_limited(limits, motor), "estimate of the inertia over the model's", models, limits.estimate_ratio
+    )
+
+
+def line_limited(limits: LimitsConfig, shape: Shape) -> list[Limited]:
+    """Signals of a line that have limits: tensions of the spans, torques of the axes and of the load motors,
+    speeds of the axes."""
+    axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
+    labels = load_motor_labels(shape.load_motors)
+    tensions = [
+        Limited(
+            f"tension of span {span}" if shape.spans > 1 else "tension of the web",
+            f"F{shape.numbered(span)}_true_N",
+            "N",
+            limits.tension_N,
+            signed=True,
+        )
+        for span in spans
+    ]
+    torques = [Limited(f"torque of axis {k}", f"tau{k}_Nm", "N·m", limits.torque_Nm) for k in axes]
+    torques += [
+        Limited(f"torque of {labels[name]}", f"tau_{name}_Nm", "N·m", limits.torque_Nm) for name in shape.load_motors
+    ]
+    speeds = [Limited(f"speed of axis {k}", f"v{k}_m_s", "m/s", limits.speed_m_s) for k in axes]
+    return [*tensions, *torques, *speeds]
+
+
+def line_limit_watch(limits: LimitsConfig, model: ModelParameters, cycle_s: float, shape: Shape) -> LimitWatch:
+    """Limits of a run of a web line: tensions, torques, speeds, position differences of the axes, deviation of E from
+    that of the `model`."""
+    return LimitWatch(
+        line_limited(limits, shape),
+        "estimate of E over the model's",
+        {f"E{shape.numbered(span)}_sim_Pa": model.youngs_modulus_Pa(span) for span in shape.estimated},
+        limits.estimate_ratio,
+        [
+            f"position difference of {f'axes {axis} and {axis + 1}' if shape.axes > 2 else 'the axes'}"
+            for axis in range(1, shape.axes)
+        ],
+        limits.position_difference_m,
+        cycle_s,
+    )
