@@ -7,11 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from hilbench.bench.compiled_cycles import CompiledCycles
-from hilbench.bench.observer import CycleObserver
-from hilbench.bench.stamp import Stamp
+from hilbench.bench.compiled_cycles import CompiledCycles, Stamp
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.task import CyclicTask, Outputs, overrides
+from hilbench.bench.tasks.task import CycleObserver, CyclicTask, Outputs, overrides
 from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, HilbenchError
 from hilbench.exchange.exchange import Exchange, Inputs
 from hilbench.exchange.unexpected_senders import Unexpected

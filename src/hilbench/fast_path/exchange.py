@@ -22,8 +22,7 @@ from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.fast_path import counting, packet_kernel
 from hilbench.fast_path import layout as lay
-from hilbench.fast_path.bench import BenchFrames
-from hilbench.fast_path.bench_cycle import LOOK_AGAIN, TOGETHER, BenchFastCycle, FastPath
+from hilbench.fast_path.bench_cycle import LOOK_AGAIN, TOGETHER, BenchFastCycle, BenchFrames, FastPath
 from hilbench.fast_path.packet_kernel import NOTHING, UNSENT, PacketPort
 from hilbench.fast_path.tables import FastPathRefusedError
 

@@ -15,8 +15,8 @@ from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.identifiers import SYNC
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
-from hilbench.fast_path.bench import BenchFrames
-from hilbench.fast_path.devices import HostFrames
+from hilbench.fast_path.bench_cycle import BenchFrames
+from hilbench.fast_path.host_cycle import HostFrames
 from hilbench.fast_path.tables import FastPathRefusedError, new_slots
 from hilbench.hardware.simulation import RigApplication
 from hilbench.twin.in_arrays import received_row

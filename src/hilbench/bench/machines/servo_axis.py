@@ -9,8 +9,7 @@ from math import nan
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.limits import shaft_limit_watch
-from hilbench.bench.tasks.load_model import LoadModel
-from hilbench.bench.tasks.load_task import LoadTask
+from hilbench.bench.tasks.load_model import LoadModel, LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.task import MANY, CompiledStages, StagedTask

@@ -17,7 +17,7 @@ from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks import web_axis_cycle
 from hilbench.bench.tasks.emulated_web import emulated_web, web_load_model
 from hilbench.bench.tasks.limits import line_limit_watch
-from hilbench.bench.tasks.load_task import LoadTask
+from hilbench.bench.tasks.load_model import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
@@ -27,11 +27,9 @@ from hilbench.bench.tasks.tension_probing import Probing
 from hilbench.bench.tasks.tension_task import AxisTask, LoopNames, TensionTask
 from hilbench.bench.tasks.tension_watch import TensionWatch, watched_loops
 from hilbench.bench.tasks.watches import QuietWatch
-from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
 from hilbench.bench.tasks.web_entering_strain import EnteringStrain, strains_around
-from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
-from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
-from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelTravel
+from hilbench.bench.tasks.web_positions import CarriageForceTask, CarriageStops, PositionTask
+from hilbench.bench.tasks.web_reels import LoadCells, MeasuredReel, ReelSpeeds, ReelTorqueTask, ReelTravel
 from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation, excitation_amplitudes_m
 from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.compiled import Vector, load
@@ -46,8 +44,8 @@ from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample, sample_type
 from hilbench.topology.signals import Shape
+from hilbench.topology.web_line import sensors_at_start
 from hilbench.topology.web_line_config import CompensationConfig, ProbingConfig, TensionControlConfig, loops_of
-from hilbench.topology.web_line_shape import sensors_at_start
 from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 #: Age of the twin's data, in cycles, up to which a line without tension control rides it out.
