@@ -31,6 +31,7 @@ from hilbench.fast_path.tables import (
     feedback_row,
     new_slots,
     reals,
+    refuse_if,
 )
 from hilbench.topology.sample import CycleSample
 
@@ -83,8 +84,7 @@ class BenchFrames(ABC):
 
     def _send_boundary_inputs(self) -> None:
         for boundary in self.nodes.io.boundary:
-            if not all(kind.is_float for kind in boundary.kinds):
-                raise FastPathRefusedError
+            refuse_if(not all(kind.is_float for kind in boundary.kinds))
             boundary_slots = new_slots(self.slots, boundary)
             self.frames.add(boundary.cob_id, lay.BEFORE_SYNC, boundary, boundary_slots)
             self.boundary_slots += boundary_slots
@@ -96,8 +96,7 @@ class BenchFrames(ABC):
         for drive in nodes.drives:
             raw: dict[int, int] = {}
             for _, pdo, indices in drive.pdos.tpdos:
-                if pdo.period != 1:
-                    raise FastPathRefusedError
+                refuse_if(pdo.period != 1)
                 raw.update(zip(indices, self._take_pdo(pdo, is_float=False)[1], strict=True))
             self._raw.append((drive, raw))
         row, taken = self._take_pdo(nodes.io.status, is_float=False)
@@ -108,8 +107,7 @@ class BenchFrames(ABC):
 
     def _take_pdo(self, pdo: PdoMap, *, is_float: bool) -> tuple[int, list[int]]:
         """Take a TPDO: its row, and the slots of its values."""
-        if any(kind.is_float is not is_float for kind in pdo.kinds):
-            raise FastPathRefusedError
+        refuse_if(any(kind.is_float is not is_float for kind in pdo.kinds))
         row, taken = self.frames.row_of(pdo.cob_id), new_slots(self.slots, pdo)
         self.frames.take(row, pdo, taken)
         return row, taken

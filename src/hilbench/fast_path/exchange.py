@@ -24,7 +24,7 @@ from hilbench.fast_path import counting, packet_kernel
 from hilbench.fast_path import layout as lay
 from hilbench.fast_path.bench_cycle import LOOK_AGAIN, TOGETHER, BenchFastCycle, BenchFrames, FastPath
 from hilbench.fast_path.packet_kernel import NOTHING, UNSENT, PacketPort
-from hilbench.fast_path.tables import FastPathRefusedError
+from hilbench.fast_path.tables import refuse_if
 
 #: The pause after a run is doubled each time that too few cycles in a row fitted for it to pay, up to the longest.
 _LONGEST_PAUSE, _PAYS = 512, 64
@@ -72,13 +72,11 @@ class _AnsweredFrames(BenchFrames):
             frames.add(cob_id, lay.ANSWER, bytes(tpdo.size), every=tpdo.every, count=count)
         for pdo in self.sync.due_at_times:  # of every n-th SYNC: due n SYNCs after its last one
             left = (pdo.since - cycles) % pdo.every or pdo.every
-            if nodes.answers[pdo.cob_id].since + left != pdo.every:
-                raise FastPathRefusedError
+            refuse_if(nodes.answers[pdo.cob_id].since + left != pdo.every)
         expected = {*self.sync.due_always, *(pdo.cob_id for pdo in self.sync.due_at_times)}
         taken = {pdo.cob_id for drive in nodes.drives for _, pdo, _ in drive.pdos.tpdos}
         taken |= {pdo.cob_id for pdo in (nodes.io.status, *nodes.io.sent)}
-        if not expected == set(nodes.answers) == taken:
-            raise FastPathRefusedError
+        refuse_if(not expected == set(nodes.answers) == taken)
         for node_id in dict.fromkeys(part.node.node_id for part in nodes.config.parts):
             row = frames.add(HEARTBEAT + node_id, lay.ANSWER, _OPERATIONAL, timing=lay.BY_ARRIVAL)
             self.heartbeats.append((node_id, row))

@@ -20,7 +20,15 @@ from hilbench.fast_path import kernel, packet_kernel
 from hilbench.fast_path import layout as lay
 from hilbench.fast_path.motors import Motors
 from hilbench.fast_path.packet_kernel import BITRATE, NOTHING, OTHER, UNSENT, PacketPort
-from hilbench.fast_path.tables import FastPathArrays, FastPathRefusedError, Frames, Slots, cell_slots, drive_row
+from hilbench.fast_path.tables import (
+    FastPathArrays,
+    FastPathRefusedError,
+    Frames,
+    Slots,
+    cell_slots,
+    drive_row,
+    refuse_if,
+)
 from hilbench.plant.interface import Steps
 from hilbench.plant.motor_port import FEEDBACK_SIZE
 
@@ -58,13 +66,11 @@ class HostFrames:
 
     def _receive(self, device: Device, cob_id: int, rpdo: Rpdo) -> None:
         if cob_id not in self._frames.cob_ids:
-            if not rpdo.idle:
-                raise FastPathRefusedError
+            refuse_if(not rpdo.idle)
             return
         if not rpdo.fits_fast_path(self._cycle_ns) or rpdo.map is None:
             raise FastPathRefusedError
-        if any(cell.on_write is not None and cell not in self._controlwords for cell in rpdo.cells):
-            raise FastPathRefusedError
+        refuse_if(any(cell.on_write is not None and cell not in self._controlwords for cell in rpdo.cells))
         row = self._frames.row_of(cob_id)
         self._frames.take(row, rpdo.map, cell_slots(self._slots, rpdo.map, rpdo.cells))
         self.taken.append((device, rpdo, row))
@@ -136,15 +142,12 @@ class SyncAnswers:
         self._link, self._devices, self._clock, self._cycle_ns = link, devices, clock, cycle_ns
         self.cycles = 0  #: SYNCs that were answered
         self._late: list[bytes] = []  # packets not put into the port
-        if not all(drive.follows(_ENABLED) for drive in drives):
-            raise FastPathRefusedError
-        if any(device.sync_cob_id != SYNC for device in devices):
-            raise FastPathRefusedError
+        refuse_if(not all(drive.follows(_ENABLED) for drive in drives))
+        refuse_if(any(device.sync_cob_id != SYNC for device in devices))
         self.slots, self.frames = Slots(), Frames()
         for frame in expected:
             self.frames.add(frame.can_id, lay.SYNC if frame.can_id == SYNC else lay.BEFORE_SYNC, frame.data)
-        if len(set(self.frames.cob_ids)) != len(expected):
-            raise FastPathRefusedError
+        refuse_if(len(set(self.frames.cob_ids)) != len(expected))
         self._heartbeat = -1  # row of that of the bench
         if clock.kept_by is not None:
             self._heartbeat = self.frames.add(clock.kept_by, lay.BEFORE_SYNC, _OPERATIONAL, timing=lay.BY_ARRIVAL)

@@ -3,7 +3,6 @@ tension controller where the span between has one; load motors emulate the web."
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
@@ -14,7 +13,6 @@ import numpy as np
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState, TwinState
-from hilbench.bench.tasks import web_axis_cycle
 from hilbench.bench.tasks.emulated_web import emulated_web, web_load_model
 from hilbench.bench.tasks.limits import line_limit_watch
 from hilbench.bench.tasks.load_model import LoadTask
@@ -27,13 +25,13 @@ from hilbench.bench.tasks.tension_probing import Probing
 from hilbench.bench.tasks.tension_task import AxisTask, LoopNames, TensionTask
 from hilbench.bench.tasks.tension_watch import TensionWatch, watched_loops
 from hilbench.bench.tasks.watches import QuietWatch
+from hilbench.bench.tasks.web_axes import WebAxis
 from hilbench.bench.tasks.web_entering_strain import EnteringStrain, strains_around
 from hilbench.bench.tasks.web_positions import CarriageForceTask, CarriageStops, PositionTask
 from hilbench.bench.tasks.web_reels import LoadCells, MeasuredReel, ReelSpeeds, ReelTorqueTask, ReelTravel
 from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation, excitation_amplitudes_m
 from hilbench.bench.tasks.web_winding_control import DancerPosition
-from hilbench.compiled import Vector, load
-from hilbench.cycle_program import CompiledStage, Function, never, python_stage
+from hilbench.cycle_program import python_stage
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.problems import Problem
 from hilbench.exchange.exchange import Inputs
@@ -74,12 +72,12 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     plan = FeedForwardTask(section_model(model), cycle_s, line_speed, loops, rises_s) if rises_s else None
     torqued = config.reel_controls
     leads = max(axis for axis in range(1, model.axis_count + 1) if axis not in torqued)
-    leading = LeadingAxis(drives[leads - 1], leads, line_speed)
+    leading = WebAxis(drives[leads - 1], leads, line_speed)
     reels = [
         ReelTorqueTask(control, drives[axis - 1], axis, leading, leads, model, config.shape, state)
         for axis, control in torqued.items()
     ]
-    axes: list[LeadingAxis | FollowingAxis | TensionTask | PositionTask] = [leading]
+    axes: list[WebAxis | TensionTask | PositionTask] = [leading]
     forces: list[CarriageForceTask] = []
     compensating: list[CompensationTask] = []
     for axis in range(leads - 1, 0, -1):
@@ -94,7 +92,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
                 forces.append(CarriageForceTask(force, model, carriage, axis, axes[-1], axes[-2], state))
             continue
         if control is None:
-            axes.append(FollowingAxis(drives[axis - 1], axis, axes[-1], plan))
+            axes.append(WebAxis(drives[axis - 1], axis, axes[-1], plan))
             continue
         own_plan, entering = (plan, neighbour_strains(config, axis)) if axis in rises_s else (None, ())
         travels = _trajectories(config, axis)
@@ -274,53 +272,6 @@ class BoundaryTask(CyclicTask):
         """Boundary inputs with the drives disabled; stations are as at the start when they are enabled again."""
         self._moved = False
         self.before(sample, outputs)
-
-
-class _AxisWithoutLoop(AxisTask):
-    """Axis whose velocity one compiled stage makes, from other axes and the standstill excitation."""
-
-    def __init__(self, drive: str, axis: int, function: Function) -> None:
-        super().__init__()
-        self._drive = drive
-        self._command = f"v{axis}_cmd_m_s"
-        self._function = function
-        self._excitations = np.array([(0.0, np.nan)], web_axis_cycle.EXCITATION)
-        self.moved = self._excitations.view(np.recarray)[0]  #: its standstill excitation
-        load(function)
-
-    @abstractmethod
-    def _arrays(self, values: Vector) -> tuple[Any, ...]:
-        """What `function` works on with the `reals` of a sample."""
-
-    def stages(self, sample: CycleSample) -> CompiledStages:
-        """Compiled stage that makes the velocity command, m/s at the web."""
-        place, arrays = type(sample).place(self._command), self._arrays(sample.reals)
-        command = CompiledStage(self._function, place, arrays, fallback=never)
-        return CompiledStages(before=[command], shown={self._drive: self._command})
-
-
-class LeadingAxis(_AxisWithoutLoop):
-    """The last axis follows the line speed."""
-
-    def __init__(self, drive: str, axis: int, line_speed: Reference) -> None:
-        super().__init__(drive, axis, web_axis_cycle.lead)
-        self._line_speed = line_speed
-
-    def _arrays(self, values: Vector) -> web_axis_cycle.LeadingArrays:
-        return web_axis_cycle.LeadingArrays(self._line_speed.vector, self._excitations, self.speeds, values)
-
-
-class FollowingAxis(_AxisWithoutLoop):
-    """Axis before a span without a controller: it turns as fast as the one after it, so that the strain in the span is
-    the one that enters it. With the damping of that axis, or the span would be stretched by it."""
-
-    def __init__(self, drive: str, axis: int, leader: AxisTask, ahead: FeedForwardTask | None) -> None:
-        super().__init__(drive, axis, web_axis_cycle.follow)
-        self._leader = leader
-        self._lead = ahead.lead(axis) if ahead else np.zeros(1)
-
-    def _arrays(self, values: Vector) -> web_axis_cycle.FollowingArrays:
-        return web_axis_cycle.FollowingArrays(self._leader.speeds, self._lead, self._excitations, self.speeds, values)
 
 
 class WebLoadTask(LoadTask):
