@@ -176,18 +176,13 @@ class TensionTask(AxisTask):
         return float(self._at["set_point_N"])
 
     @property
-    def set_point_shift_N(self) -> float:
-        """Set-point shift by a probe."""
-        return float(self._at["shift_N"])
-
-    @set_point_shift_N.setter
-    def set_point_shift_N(self, value: float) -> None:
-        self._at["shift_N"] = value
-
-    @property
     def goal_N(self) -> float:
         """Wanted tension, with a probe's shift."""
-        return self.set_point_N + self.set_point_shift_N
+        return self.set_point_N + float(self._at["shift_N"])
+
+    def shift_set_point(self, by_N: float) -> None:
+        """Shift the set-point by a probe."""
+        self._at["shift_N"] = by_N
 
     @property
     def modulus_Pa(self) -> float:
