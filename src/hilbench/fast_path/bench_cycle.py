@@ -41,7 +41,8 @@ class BenchFrames(ABC):
     what answers. The slots of their values.
 
     `targets`: rows of `layout.TARGET`; `boundary_slots`: slots of the twin's boundary inputs; `own_heartbeat`: its row,
-    -1: there is none; `virtual_io`: rows of `layout.VIRTUAL_IO`; `status`: row of the twin's status, its first slot.
+    -1: there is none; `virtual_io`: rows of `layout.VIRTUAL_IO`; `status`: row of the twin's status, its first slot;
+    `heartbeats`: node ids of those whose heartbeats may come, each with its row.
     """
 
     def __init__(self, nodes: Nodes, sync: SyncCycle) -> None:
@@ -51,6 +52,7 @@ class BenchFrames(ABC):
         self.targets: list[tuple[float, int, int, int, float]] = []
         self.boundary_slots: list[int] = []
         self.own_heartbeat = -1
+        self.heartbeats: list[tuple[int, int]] = []
         self._send_set_points()
         self._send_boundary_inputs()
         heartbeat, every = sync.heartbeat
@@ -200,13 +202,11 @@ class BenchFastCycle(ABC):
     def _stages(self) -> Sequence[CompiledStage]:
         """Stages between outputs and counting."""
 
-    @abstractmethod
-    def _account(self, frames: int, bits: int, duration_ns: int, begun_ns: int) -> None:
-        """Account for cycles that were run."""
+    def _account(self, frames: int, bits: int, duration_ns: int, begun_ns: int) -> None:  # noqa: B027
+        """Account for cycles that were run, where not only the bench counts them."""
 
-    @abstractmethod
-    def _give(self) -> None:
-        """Update objects that are not of the bench."""
+    def _give(self) -> None:  # noqa: B027
+        """Update objects that are not of the bench, where these are in the arrays."""
 
     def _send_heartbeat(self, _: int) -> bool:
         """The bench's heartbeat was on the wire."""
@@ -312,13 +312,9 @@ class BenchFastCycle(ABC):
         fault, self._fault = self._fault or self._write_lines(TOGETHER), None
         if fault is not None:
             raise fault
-        received = [(node, int(self._received[row]) - before) for node, row in self._heartbeats()]
+        received = [(node, int(self._received[row]) - before) for node, row in self._wiring.heartbeats]
         received = [(node, at) for node, at in received if at > 0]
         self._nodes.pass_fast_path(cycles, received, max(0, totals[4] - before))
-
-    @abstractmethod
-    def _heartbeats(self) -> Sequence[tuple[int, int]]:
-        """Node ids of those whose heartbeats may come, each with its row."""
 
     def _write_lines(self, least: int) -> BenchFaultError | None:
         """Write the lines of the last cycles, if they are so many; returns the trace's error, if any."""

@@ -58,13 +58,11 @@ class FastPathExchange(FastPath):
 
 
 class _AnsweredFrames(BenchFrames):
-    """Frames of a bench, and what the nodes on its bus answer. `heartbeats`: node ids and rows; `checks`: rows of
-    `packet_kernel.CHECK`."""
+    """Frames of a bench, and what the nodes on its bus answer. `checks`: rows of `packet_kernel.CHECK`."""
 
     def answer(self) -> None:
         """Add TPDOs and heartbeats. Raises FastPathRefusedError where a TPDO is one that only the interpreted cycle
         knows, or is not due when it was before."""
-        self.heartbeats: list[tuple[int, int]] = []
         self.checks: list[tuple[int, int, int, int, int]] = []
         nodes, frames, cycles = self.nodes, self.frames, self.sync.timing.cycles
         for cob_id, tpdo in nodes.answers.items():
@@ -100,7 +98,7 @@ class PacketCycle(BenchFastCycle):
     def __init__(self, link: EmbeddedLink, wiring: _AnsweredFrames, tap: LineTap | None) -> None:
         """Raises FastPathRefusedError where cycles do not fit the fast path."""
         super().__init__(wiring, tap)
-        self._link, self._heartbeat_rows = link, wiring.heartbeats
+        self._link = link
         count, bitrate = len(wiring.frames.rows), self._nodes.config.bus.bitrate
         port = PacketPort(self._arrays.image, link.fileno(), link.dropped, wiring.asked, count, wiring.checks)
         self._port = port
@@ -149,12 +147,3 @@ class PacketCycle(BenchFastCycle):
         outgoing = self._frames_of(self._arrays.image.order[: self._arrays.left[0]["frames"]].tolist())
         fault, self._fault = self._fault, None
         return self._sync.finish([frame._replace(time_ns=0) for frame in outgoing[:-1]], [], came, fault)
-
-    def _give(self) -> None:
-        """Nothing else is in the arrays."""
-
-    def _account(self, frames: int, bits: int, duration_ns: int, begun_ns: int) -> None:
-        """Nothing else counts them."""
-
-    def _heartbeats(self) -> Sequence[tuple[int, int]]:
-        return self._heartbeat_rows

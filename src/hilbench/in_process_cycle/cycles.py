@@ -212,9 +212,6 @@ class _Run(BenchFastCycle):
         self._here.bus.account(frames, bits, duration_ns)
         self._tick(begun_ns, int(self._totals[0]["cycles"]))
 
-    def _heartbeats(self) -> Sequence[tuple[int, int]]:
-        return [(device.node_id, row) for host in self._wiring.hosts for device, row in host.heartbeats]
-
     # -- back to the objects ---------------------------------------------------------------------------------
 
     def end(self) -> None:

@@ -68,7 +68,6 @@ class Wiring(BenchFrames):
     def answer(self) -> None:
         """Add the answers of the hosts."""
         here = self._here
-        self._check_listeners()
         drives = (*here.rig.drives, *here.machine.drives)
         cycle_ns = self.nodes.config.cycle_ns
         self.hosts = [
@@ -79,25 +78,18 @@ class Wiring(BenchFrames):
             host.receive()
         for host in self.hosts:
             host.answer()
-        self._check_answers()
+        self.heartbeats = [(device.node_id, row) for host in self.hosts for device, row in host.heartbeats]
+        self._check_receivers()
 
-    def _check_listeners(self) -> None:
-        """Check that only the hosts receive the bench's frames."""
-        hosts = (self._here.hardware, self._here.twin)
-        for cob_id in self.frames.cob_ids:
-            links = self._here.bus.hear(cob_id)
-            refuse_if(any(link not in (self._here.link, hosts[0].link, hosts[1].link) for link in links))
-        refuse_if(any(device.sync_cob_id != SYNC for served in hosts for device in served.devices))
-
-    def _check_answers(self) -> None:
-        """Check that only the bench and the twin's application receive the answers."""
-        frames, here = self.frames, self._here
-        for row in range(self.asked, len(frames.rows)):
-            cob_id = frames.cob_ids[row]
+    def _check_receivers(self) -> None:
+        """Check that only bench and hosts receive frames, and of answers only the bench and the twin's application."""
+        here, hosts = self._here, (self._here.hardware, self._here.twin)
+        for row, cob_id in enumerate(self.frames.cob_ids):
             links = here.bus.hear(cob_id)
-            known = (here.link, here.hardware.link, here.twin.link)
-            refuse_if(here.link not in links or any(link not in known for link in links))
-            refuse_if(here.hardware.host.addressees(cob_id) or here.twin.host.addressees(cob_id))
+            refuse_if(any(link not in (here.link, hosts[0].link, hosts[1].link) for link in links))
+            is_answer = row >= self.asked
+            refuse_if(is_answer and (here.link not in links or any(served.host.addressees(cob_id) for served in hosts)))
+        refuse_if(any(device.sync_cob_id != SYNC for served in hosts for device in served.devices))
 
     def _check_phases(self) -> None:
         """Check that the TPDOs that the bench expects are those that the nodes send, in phase."""
