@@ -6,7 +6,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -14,14 +14,15 @@ from hilbench.can.frame import Frame
 from hilbench.canopen.identifiers import SYNC
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402.drive import Drive
-from hilbench.cycle_program import CompiledStage, StageAbortedError, never
+from hilbench.compiled import COUNT, TABLE, Reals, Table, Wholes, arrays_in, entry_point, record_type, records
+from hilbench.cycle_program import CONTINUE, CompiledStage, StageAbortedError, never
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import ExchangeStages
 from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.master_node import MasterNode
+from hilbench.exchange.measured import COUNTED
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import SyncCycle
-from hilbench.fast_path import counting
 from hilbench.fast_path import layout as lay
 from hilbench.fast_path.tables import (
     FastPathArrays,
@@ -34,6 +35,87 @@ from hilbench.fast_path.tables import (
     refuse_if,
 )
 from hilbench.topology.sample import CycleSample
+
+#: Totals: fast-path cycles, their frames, bits, and time on the wire in ns; the cycle of the twin's last status.
+TOTALS = record_type("cycles", "frames", "bits", "duration_ns", "reported", of=np.int64)
+#: Of the twin's status: its frame, and its first slot.
+STATUS = record_type("frame", "slot", of=np.int64)
+#: An output: its place in a sample, and among the set points or the real numbers of the image.
+OUTPUT = record_type("signal", "place", of=np.int64)
+#: What `heartbeat_sent` returns where the bench has sent it.
+SENT = 1
+_BY_CYCLES = lay.BY_CYCLES
+
+
+class Counting(NamedTuple):
+    """The image of a cycle as far as it is counted, and counters; by frame the cycle in which it was there last."""
+
+    frames: Annotated[Any, records(lay.FRAME)]
+    given: Annotated[Any, lay.GIVEN]
+    left: Annotated[Any, lay.LEFT]
+    clocks: Wholes
+    whole: Wholes
+    counted: Annotated[Any, COUNTED]
+    totals: Annotated[Any, TOTALS]
+    received: Wholes
+    status: Annotated[Any, STATUS]
+
+
+class Outputs(NamedTuple):
+    """Set points, with the factor of each output, and real numbers of the image, from the values of a sample."""
+
+    values: Reals
+    set_points: Reals
+    targets: Annotated[Any, records(OUTPUT)]
+    per_unit: Reals
+    real: Reals
+    inputs: Annotated[Any, records(OUTPUT)]
+
+
+#: count(length of a cycle in ns, table of `Counting`): count a fast-path cycle.
+#: heartbeat_sent(row of the bench's heartbeat, table of `Counting`): SENT where that was on the wire.
+#: take_outputs(0, table of `Outputs`): send the outputs in a sample with the next SYNC.
+@entry_point(COUNT, TABLE)
+def count(cycle_ns: int, table: Table) -> int:
+    a = arrays_in(table, Counting)
+    given, left, totals, counted = a.given, a.left, a.totals, a.counted
+    given.start_ns += cycle_ns
+    given.text = left.text
+    for k in range(len(a.clocks)):
+        a.clocks[k] += cycle_ns
+    totals.cycles += 1
+    totals.frames += left.frames
+    totals.bits += left.bits
+    totals.duration_ns += left.duration_ns
+    counted.cycles += 1
+    counted.bits = left.bits
+    if a.frames[a.status.frame].bits_on_wire != 0:
+        counted.twin_sync, counted.twin_status = a.whole[a.status.slot], a.whole[a.status.slot + 2]
+        totals.reported = totals.cycles
+    if left.timed != 0:
+        for k in range(len(a.frames)):
+            if a.frames[k].timing != _BY_CYCLES and a.frames[k].bits_on_wire != 0:
+                a.received[k] = totals.cycles
+    return CONTINUE
+
+
+@entry_point(COUNT, TABLE)
+def heartbeat_sent(row: int, table: Table) -> int:
+    return SENT if arrays_in(table, Counting).frames[row].bits_on_wire != 0 else CONTINUE
+
+
+@entry_point(COUNT, TABLE)
+def take_outputs(_: int, table: Table) -> int:
+    a = arrays_in(table, Outputs)
+    for k in range(len(a.targets)):
+        a.set_points[a.targets[k].place] = a.values[a.targets[k].signal] * a.per_unit[k]
+    for k in range(len(a.inputs)):
+        a.real[a.inputs[k].place] = a.values[a.inputs[k].signal]
+    return CONTINUE
+
+
+#: Loaded before a cycle has to wait for them.
+STAGES = count, heartbeat_sent, take_outputs
 
 
 class BenchFrames(ABC):
@@ -179,17 +261,17 @@ class BenchFastCycle(ABC):
         given = np.flatnonzero(targets["source"] < 0).tolist()
         self._names = [(at, name, per_unit) for at, (_, name, per_unit) in zip(given, nodes.set_points, strict=True)]
         self._boundary_places = list(zip(wiring.boundary_slots, nodes.boundary_names, strict=True))
-        self._totals, self._received = np.zeros(1, counting.TOTALS), np.zeros(len(arrays.rows), np.int64)
+        self._totals, self._received = np.zeros(1, TOTALS), np.zeros(len(arrays.rows), np.int64)
         self._passed = self._totals[0].item()
-        counted = counting.Counting(
+        counted = Counting(
             *(arrays.rows, arrays.given, arrays.left, arrays.clocks, arrays.whole),
-            *(measured.counted, self._totals, self._received, np.array([wiring.status], counting.STATUS)),
+            *(measured.counted, self._totals, self._received, np.array([wiring.status], STATUS)),
         )
-        self._count = CompiledStage(counting.count, nodes.config.cycle_ns, counted, fallback=never)
+        self._count = CompiledStage(count, nodes.config.cycle_ns, counted, fallback=never)
         self._heartbeat: list[CompiledStage] = []
         if wiring.own_heartbeat >= 0:
             self._heartbeat.append(
-                CompiledStage(counting.heartbeat_sent, wiring.own_heartbeat, counted, fallback=self._send_heartbeat)
+                CompiledStage(heartbeat_sent, wiring.own_heartbeat, counted, fallback=self._send_heartbeat)
             )
 
     # -- parts of a cycle ------------------------------------------------------------------------------------
@@ -200,7 +282,7 @@ class BenchFastCycle(ABC):
 
     @abstractmethod
     def _stages(self) -> Sequence[CompiledStage]:
-        """Stages between outputs and counting."""
+        """Stages between outputs and"""
 
     def _account(self, frames: int, bits: int, duration_ns: int, begun_ns: int) -> None:  # noqa: B027
         """Account for cycles that were run, where not only the bench counts them."""
@@ -267,15 +349,15 @@ class BenchFastCycle(ABC):
     def _outputs_of(self, sample: CycleSample, shown: Mapping[str, str]) -> CompiledStage:
         """Take outputs from the signals that show them."""
         place, outputs = type(sample).place, self._names
-        arrays = counting.Outputs(
+        arrays = Outputs(
             sample.reals,
             self._set_points,
-            np.array([(place(shown[name]), at) for at, name, _ in outputs], counting.OUTPUT),
+            np.array([(place(shown[name]), at) for at, name, _ in outputs], OUTPUT),
             np.array([per_unit for _, _, per_unit in outputs]),
             self._arrays.real,
-            np.array([(place(shown[name]), slot) for slot, name in self._boundary_places], counting.OUTPUT),
+            np.array([(place(shown[name]), slot) for slot, name in self._boundary_places], OUTPUT),
         )
-        return CompiledStage(counting.take_outputs, 0, arrays, fallback=never)
+        return CompiledStage(take_outputs, 0, arrays, fallback=never)
 
     def _leave(self) -> None:
         """Leave the fast path in a cycle."""

@@ -20,9 +20,9 @@ from hilbench.exchange.frame_tap import LineTap
 from hilbench.exchange.master_node import MasterNode
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import SyncCycle
-from hilbench.fast_path import counting, packet_kernel
 from hilbench.fast_path import layout as lay
-from hilbench.fast_path.bench_cycle import LOOK_AGAIN, TOGETHER, BenchFastCycle, BenchFrames, FastPath
+from hilbench.fast_path import packet_kernel
+from hilbench.fast_path.bench_cycle import LOOK_AGAIN, STAGES, TOGETHER, BenchFastCycle, BenchFrames, FastPath
 from hilbench.fast_path.packet_kernel import NOTHING, UNSENT, PacketPort
 from hilbench.fast_path.tables import refuse_if
 
@@ -47,7 +47,7 @@ class FastPathExchange(FastPath):
     @staticmethod
     def warm_up() -> None:
         """Compile, or load from the cache, the functions called: in good time, where one is to be made later."""
-        load(packet_kernel.ask, packet_kernel.collect, counting.count, counting.heartbeat_sent, counting.take_outputs)
+        load(packet_kernel.ask, packet_kernel.collect, *STAGES)
 
     def _new_run(self) -> BenchFastCycle:
         return PacketCycle(self._link, _AnsweredFrames(self._nodes, self._sync), self._tap)

@@ -24,9 +24,9 @@ from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.master_node import MasterNode
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import SyncCycle
-from hilbench.fast_path import counting, kernel
+from hilbench.fast_path import kernel
 from hilbench.fast_path import layout as lay
-from hilbench.fast_path.bench_cycle import BenchFastCycle, FastPath
+from hilbench.fast_path.bench_cycle import STAGES, BenchFastCycle, FastPath
 from hilbench.fast_path.motors import Motors
 from hilbench.fast_path.tables import FastPathRefusedError, drive_row
 from hilbench.in_process_cycle.wiring import InOneProcess, Wiring
@@ -50,7 +50,7 @@ class FastPathCycles(FastPath):
     @staticmethod
     def warm_up() -> None:
         """Compile, or load from the cache, the functions called."""
-        load(kernel.exchange, kernel.publish, counting.count, counting.heartbeat_sent, counting.take_outputs)
+        load(kernel.exchange, kernel.publish, *STAGES)
 
     @property
     def _locks(self) -> Sequence[AbstractContextManager[Any]]:
