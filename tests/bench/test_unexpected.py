@@ -11,7 +11,7 @@ from tests.bench.whole_runs import config, run_folders
 from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
-from hilbench.bench.compiled_cycles import CompiledCycles
+from hilbench.bench.cycle import CompiledCycles
 from hilbench.bench.lifecycle import in_process
 from hilbench.bench.operator.operator import Operator
 from hilbench.bench.operator.operator_objects import OperatorObjects
