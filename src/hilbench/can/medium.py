@@ -114,21 +114,16 @@ class Medium:
         self.disturber: Disturber | None = None
         self.changed: list[Station] = []  #: stations whose state has changed; emptied by the code that reports it
         self._counting = False  # some station has errors counted: only then is every frame counted, too
-        self._stations: list[Station] = []
+        self.stations: list[Station] = []  #: on the wire, in the order in which they joined
         self._sender: Station | None = None  # the station that is sending
         self._end_ns = 0  # when its frame, or its error frame, is over
 
     def join(self, station: Station) -> None:
-        self._stations.append(station)
-
-    @property
-    def stations(self) -> Sequence[Station]:
-        """Stations on the wire, in the order in which they joined."""
-        return self._stations
+        self.stations.append(station)
 
     def leave(self, station: Station) -> None:
         """Take a station off the wire; what is in its queue is not sent."""
-        self._stations.remove(station)
+        self.stations.remove(station)
         if self._sender is station:
             self._sender = None
             self.free_ns = self._end_ns
@@ -161,7 +156,7 @@ class Medium:
             self.disturber is None
             and self._sender is None
             and not self._counting
-            and not any(station.queue for station in self._stations)
+            and not any(station.queue for station in self.stations)
         )
 
     def account(self, frames: int, bits: int, duration_ns: int) -> None:
@@ -174,12 +169,12 @@ class Medium:
         """Time at which `run` has something to do next, if nothing more is queued; None: never."""
         if self._sender is not None:
             return self._end_ns
-        waiting = [station.queue[0].ready_ns for station in self._stations if station.queue]
+        waiting = [station.queue[0].ready_ns for station in self.stations if station.queue]
         return max(self.free_ns, min(waiting)) if waiting else None
 
     def _arbitrate(self, until_ns: int) -> bool:
         """Put the winner among the waiting heads on the wire, if one may begin by `until_ns`."""
-        heads = [station for station in self._stations if station.queue]
+        heads = [station for station in self.stations if station.queue]
         if not heads:
             return False
         winner = heads[0]
@@ -247,11 +242,11 @@ class Medium:
 
     def _count(self, sender: Station, *, failed: bool) -> None:
         """Count errors, or frames without one, of all stations: all see what `sender` sends."""
-        for station in self._stations:
+        for station in self.stations:
             if station is sender or station.state is not ControllerState.BUS_OFF:
                 station.errors.count(own=station is sender, failed=failed)
             state = station.errors.state
             if state is not station.state:
                 station.state = state
                 self.changed.append(station)
-        self._counting = not all(station.errors.clear for station in self._stations)
+        self._counting = not all(station.errors.clear for station in self.stations)

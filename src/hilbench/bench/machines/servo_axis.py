@@ -62,7 +62,7 @@ def tasks_with(config: BenchConfig, state: BenchState, load: LoadTask) -> Machin
     speed = Reference(SPEED, config.quick_stop_per_s2 * config.cycle_time_s)
     return MachineTasks(
         reference=speed,
-        quantities=(speed, load),
+        quantities=(speed, load.model),
         control=(SpeedTask(drive, speed), load),
         watches=(
             QuietWatch("limits", shaft_limit_watch(config, motor), state.reports),

@@ -118,7 +118,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
             *reels,
             *forces,
             *(axis for axis in axes if isinstance(axis, PositionTask)),
-            load,
+            load.model,
             *probing,
         ),
         control=(

@@ -134,6 +134,10 @@ class LoadModel:
         """Set an input of the machine, from the present state on. Raises ValueError for an unknown one."""
         self.machine.set_input(name, value)
 
+    def owns(self, path: str) -> bool:
+        """True if a quantity is one of the emulated mechanics."""
+        return path.startswith("load.")
+
     def value(self, path: str) -> float:
         """Present value of a quantity of the emulated mechanics. Raises ValueError for an unknown path."""
         if is_simple_path(path):
@@ -174,18 +178,6 @@ class LoadTask(CyclicTask):
     def __init__(self, motors: Sequence[str], model: LoadModel) -> None:
         self.model = model
         self._commands = [(motor, f"tau_{motor}_cmd_Nm") for motor in motors]
-
-    def owns(self, path: str) -> bool:
-        """True if a quantity is one of the emulated mechanics."""
-        return path.startswith("load.")
-
-    def value(self, path: str) -> float:
-        """Present value of a quantity."""
-        return self.model.value(path)
-
-    def set(self, path: str, value: float) -> None:
-        """Another value from now on."""
-        self.model.set(path, value)
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """The torques that follow from the last sample, N·m at the load motors' shafts."""
