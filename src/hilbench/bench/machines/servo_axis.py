@@ -8,10 +8,10 @@ from math import nan
 
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.limits import shaft_limit_watch
 from hilbench.bench.tasks.load_model import LoadModel, LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
+from hilbench.bench.tasks.shaft_limits import limit_watch
 from hilbench.bench.tasks.task import MANY, CompiledStages, StagedTask
 from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.exchange.exchange import Inputs
@@ -65,7 +65,7 @@ def tasks_with(config: BenchConfig, state: BenchState, load: LoadTask) -> Machin
         quantities=(speed, load.model),
         control=(SpeedTask(drive, speed), load),
         watches=(
-            QuietWatch("limits", shaft_limit_watch(config, motor), state.reports),
+            QuietWatch("limits", limit_watch(config, motor), state.reports),
             QuietWatch("saturation", SaturationWatch(config), state.reports),
         ),
         twin_age_limit_cycles=_TWIN_AGE_LIMIT_CYCLES,

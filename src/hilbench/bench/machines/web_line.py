@@ -14,7 +14,6 @@ from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks.emulated_web import emulated_web, web_load_model
-from hilbench.bench.tasks.limits import line_limit_watch
 from hilbench.bench.tasks.load_model import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
@@ -27,6 +26,7 @@ from hilbench.bench.tasks.tension_watch import TensionWatch, watched_loops
 from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.bench.tasks.web_axes import WebAxis
 from hilbench.bench.tasks.web_entering_strain import EnteringStrain, strains_around
+from hilbench.bench.tasks.web_limits import limit_watch
 from hilbench.bench.tasks.web_positions import CarriageForceTask, CarriageStops, PositionTask
 from hilbench.bench.tasks.web_reels import LoadCells, MeasuredReel, ReelSpeeds, ReelTorqueTask, ReelTravel
 from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation, excitation_amplitudes_m
@@ -109,7 +109,6 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     sensors = sensors_at_start(emulated_web(model, config.load), config.shape)
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N, sensors)
     load = WebLoadTask(config, partial(reports.note, "load model"))
-    limit_watch = line_limit_watch(limits, model, cycle_s, config.shape)
     return MachineTasks(
         reference=line_speed,
         quantities=(
@@ -130,7 +129,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
             WebAlarms(loops.values(), state.twin, stop_on_break=config.safety.on_web_break == "stop"),
             *(CarriageStops(each) for each in model.carriages if each.station.name in config.load.measured),
             OpenLoops(list(loops.values()), line_speed, config.safety.loop_open_s, state),
-            QuietWatch("limits", limit_watch, reports),
+            QuietWatch("limits", limit_watch(limits, model, cycle_s, config.shape), reports),
             QuietWatch("saturation", SaturationWatch(config), reports),
         ),
         twin_age_limit_cycles=max((control.twin_age_limit_cycles for control in controls.values()), default=_TWIN_AGE),

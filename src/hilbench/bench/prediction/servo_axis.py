@@ -8,7 +8,8 @@ from functools import partial
 from hilbench.arrays import Array
 from hilbench.bench.prediction.task import Look
 from hilbench.bench.prediction.window import Hindsight, Reading, Window
-from hilbench.bench.tasks.limits import is_synchronized, shaft_limited
+from hilbench.bench.tasks.limits import is_synchronized
+from hilbench.bench.tasks.shaft_limits import limited
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.futures import Offsets
 from hilbench.prediction.outlook import Outlook
@@ -40,7 +41,7 @@ class ShaftLook(Look):
 
     def __init__(self, config: BenchConfig, prediction: PredictionConfig) -> None:
         (motor,) = config.load_motors
-        super().__init__(shaft_limited(config.safety.limits, motor))
+        super().__init__(limited(config.safety.limits, motor))
         self._quantities = tuple(each.signal for each in self.watched)
         self.signals = (*self._quantities, "x1_rad", _COMMAND, *_FOUND)
         self._believed = 0.0, 0.0  # inertia and its deviation

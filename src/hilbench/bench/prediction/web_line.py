@@ -11,8 +11,9 @@ import numpy as np
 
 from hilbench.bench.prediction.task import Look
 from hilbench.bench.prediction.window import Hindsight, Reading, Window
-from hilbench.bench.tasks.limits import is_synchronized, line_limited
+from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.web_entering_strain import strains_around
+from hilbench.bench.tasks.web_limits import limited
 from hilbench.control.web_line.feed_forward import ROLLER, rollers_of
 from hilbench.control.web_line.strain_trajectory import strain_trajectory
 from hilbench.control.web_line.swing_damping import SwingDamping, SwingPlant
@@ -46,7 +47,7 @@ class LineLook(Look):
 
     def __init__(self, config: BenchConfig, prediction: PredictionConfig) -> None:
         shape, model = config.shape, config.web_line
-        super().__init__(line_limited(config.safety.limits, shape))
+        super().__init__(limited(config.safety.limits, shape))
         self._config = config
         axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
         self._speeds = [f"v{k}_m_s" for k in axes]

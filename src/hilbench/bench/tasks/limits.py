@@ -13,11 +13,8 @@ import numpy as np
 from hilbench.compiled import COUNT, TABLE, Reals, Wholes, Wholes2, arrays_in, entry_point, load, record_type
 from hilbench.cycle_program import CompiledStage, never
 from hilbench.errors import BenchFaultError
-from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.topology.config import BenchConfig
-from hilbench.topology.safety import Limit, LimitsConfig
+from hilbench.topology.safety import Limit
 from hilbench.topology.sample import CycleSample, PerSample
-from hilbench.topology.signals import Shape
 from hilbench.twin.virtual_io import SYNCHRONIZED
 
 #: A warning is over, and can come again, when the quantity has fallen below this share of its level.
@@ -200,60 +197,3 @@ def is_synchronized(sample: CycleSample) -> bool:
 def load_motor_labels(motors: Sequence[str]) -> dict[str, str]:
     """Names of the load motors in messages, by name."""
     return {name: "the load motor" if len(motors) == 1 else f"load motor {name}" for name in motors}
-
-
-def shaft_limited(limits: LimitsConfig, motor: str) -> list[Limited]:
-    """Signals of a servo axis with this load motor that have limits."""
-    return [
-        Limited("torque of axis 1", "tau1_Nm", "N·m", limits.torque_Nm),
-        Limited("torque of the load motor", f"tau_{motor}_Nm", "N·m", limits.torque_Nm),
-        Limited("speed of axis 1", "v1_rad_s", "rad/s", limits.speed_rad_s),
-    ]
-
-
-def shaft_limit_watch(config: BenchConfig, motor: str) -> LimitWatch:
-    """Limits of a run of a servo axis: its torques, its speed, the deviation of its inertia."""
-    limits, models = config.safety.limits, {"J_sim_kg_m2": config.servo_axis.inertia_kg_m2}
-    return LimitWatch(
-        shaft_limited(limits, motor), "estimate of the inertia over the model's", models, limits.estimate_ratio
-    )
-
-
-def line_limited(limits: LimitsConfig, shape: Shape) -> list[Limited]:
-    """Signals of a line that have limits: tensions of the spans, torques of the axes and of the load motors,
-    speeds of the axes."""
-    axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
-    labels = load_motor_labels(shape.load_motors)
-    tensions = [
-        Limited(
-            f"tension of span {span}" if shape.spans > 1 else "tension of the web",
-            f"F{shape.numbered(span)}_true_N",
-            "N",
-            limits.tension_N,
-            signed=True,
-        )
-        for span in spans
-    ]
-    torques = [Limited(f"torque of axis {k}", f"tau{k}_Nm", "N·m", limits.torque_Nm) for k in axes]
-    torques += [
-        Limited(f"torque of {labels[name]}", f"tau_{name}_Nm", "N·m", limits.torque_Nm) for name in shape.load_motors
-    ]
-    speeds = [Limited(f"speed of axis {k}", f"v{k}_m_s", "m/s", limits.speed_m_s) for k in axes]
-    return [*tensions, *torques, *speeds]
-
-
-def line_limit_watch(limits: LimitsConfig, model: ModelParameters, cycle_s: float, shape: Shape) -> LimitWatch:
-    """Limits of a run of a web line: tensions, torques, speeds, position differences of the axes, deviation of E from
-    that of the `model`."""
-    return LimitWatch(
-        line_limited(limits, shape),
-        "estimate of E over the model's",
-        {f"E{shape.numbered(span)}_sim_Pa": model.youngs_modulus_Pa(span) for span in shape.estimated},
-        limits.estimate_ratio,
-        [
-            f"position difference of {f'axes {axis} and {axis + 1}' if shape.axes > 2 else 'the axes'}"
-            for axis in range(1, shape.axes)
-        ],
-        limits.position_difference_m,
-        cycle_s,
-    )

@@ -133,19 +133,10 @@ class TensionTask(AxisTask):
         """Make the compiled stage."""
         self._sample = sample
         names, kind, damping = self.names, type(sample), self._damping
-        signals = {
-            "closed": names.closed,
-            "command": names.command,
-            "tension": names.twin.tension,
-            "modulus": names.twin.modulus,
-            "before": names.before,
-            "behind": names.behind,
-            "age": "twin_age_cycles",
-            "cycle": "cycle",
-        }
-        places = {name: kind.place(signal) for name, signal in signals.items()}
+        of_twin, ends = (names.twin.tension, names.twin.modulus), (names.before, names.behind)
+        at = kind.places([names.closed, names.command, *of_twin, *ends, "twin_age_cycles", "cycle"]).view(cycle.AT)
         if self._trajectories:
-            places |= {"before": cycle.NOWHERE, "behind": cycle.NOWHERE}
+            at["before"] = at["behind"] = cycle.NOWHERE
         arrays = cycle.LoopArrays(
             controller=self._controller,
             damping=damping.vector,
@@ -156,7 +147,7 @@ class TensionTask(AxisTask):
             leader=self.leader.speeds,
             values=sample.reals,
             words=sample.wholes,
-            at=np.array([of_record(cycle.AT, **places)], cycle.AT),
+            at=at,
             trust=self.trust.arrays(kind),
         )
         if self._plan is not None:
