@@ -2,8 +2,8 @@
 
 Known frames and their receivers are learnt from those that the hub has passed on itself, and forgotten when
 a station joins or leaves or changes its filters. One loop waits for stations to send, lets the quiet wire carry their
-frames, and sends them to the receivers, until anything else happens: that is for `hub`, which is the reference. It calls
-epoll_wait(2), recv(2) and send(2) of the C library of the process.
+frames, and sends them to the receivers, until anything else happens: that is for `hub`, which is the reference. The
+loop calls epoll_wait(2), recv(2) and send(2) of the C library of the process.
 """
 
 from __future__ import annotations
