@@ -35,7 +35,7 @@ from hilbench.compiled import (
 )
 
 #: Receivers of a frame are the bits of a number.
-MAX_STATIONS: Final = 62
+_MOST_STATIONS: Final = 62
 #: If more stations have sent at once, it is for the hub.
 MAX_READY: Final = 16
 #: Lengths of data frames with an identifier of 11 bits, which are those that can be known.
@@ -227,7 +227,7 @@ class Forwarder:
     """Passes on packets of known frames; `epoll` waits for the stations, and for all else that can happen."""
 
     #: More are forwarded by the hub itself.
-    MAX_STATIONS: Final = MAX_STATIONS
+    MAX_STATIONS: Final = _MOST_STATIONS
 
     def __init__(self, epoll: int) -> None:
         self._epoll, self._wire = epoll, new_wire()

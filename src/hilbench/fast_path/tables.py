@@ -221,7 +221,8 @@ def drive_row(drive: SimulatedDrive, slots: Slots) -> tuple[Any, ...]:
 def feedback_row(drive: Drive, raw: dict[int, int]) -> tuple[Any, ...]:
     """A drive as the bench sees it; `raw`: slots by the index of the object. Raises FastPathRefusedError."""
     missing = {objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE} - set(raw)
-    refuse_if(missing or drive.counter.value is None)
+    if missing or drive.counter.value is None:
+        raise FastPathRefusedError
     units, feedback = drive.units, drive.feedback
     return of_record(
         lay.FEEDBACK,
