@@ -12,7 +12,7 @@ from unittest.mock import patch
 from hypothesis import strategies as st
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.compiled_cycles import CompiledCycles
+from hilbench.bench.cycle import CompiledCycles
 from hilbench.bench.tasks.task import CompiledStages
 from hilbench.can.frame import Frame
 from hilbench.canopen.host import HostedDevices

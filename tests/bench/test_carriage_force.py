@@ -18,7 +18,7 @@ from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.load_model import LoadModel
-from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
+from hilbench.bench.tasks.web_positions import CarriageForceTask
 from hilbench.bench.tasks.web_winding_control import ROUNDED, CarriageForce
 from hilbench.errors import UnusableInputError
 from hilbench.machine_kinds import machine_part

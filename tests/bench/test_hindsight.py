@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilbench.bench.prediction.hindsight import Hindsight
+from hilbench.bench.prediction.window import Hindsight
 from hilbench.prediction.outlook import Outlook, WatchedQuantity
 
 TORQUE = np.array([0])

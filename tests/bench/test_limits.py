@@ -7,8 +7,8 @@ import math
 import pytest
 from tests.bench.samples import sample_of_two_axes
 
-from hilbench.bench.tasks.limits import LimitTripError
-from hilbench.bench.tasks.web_limits import LimitWatch
+from hilbench.bench.tasks.limits import LimitTripError, LimitWatch
+from hilbench.bench.tasks.web_limits import limit_watch
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.safety import Limit, LimitsConfig
 from hilbench.topology.signals import smallest_shapes
@@ -27,7 +27,7 @@ LEVELS = Limit(warning=2.0, trip=4.0)
 
 def watch(**limits: Limit) -> LimitWatch:
     none = {name: Limit() for name in LimitsConfig.model_fields}
-    return LimitWatch(LimitsConfig(**(none | limits)), MODEL, CYCLE_S, smallest_shapes()["web_line"])
+    return limit_watch(LimitsConfig(**(none | limits)), MODEL, CYCLE_S, smallest_shapes()["web_line"])
 
 
 @pytest.mark.parametrize(

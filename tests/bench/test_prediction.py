@@ -14,9 +14,8 @@ from tests.bench.whole_runs import Shipped
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.prediction.hindsight import Hindsight
 from hilbench.bench.prediction.task import Prediction
-from hilbench.bench.prediction.window import Window
+from hilbench.bench.prediction.window import Hindsight, Window
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED, UnusableInputError

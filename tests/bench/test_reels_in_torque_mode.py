@@ -10,8 +10,7 @@ from scipy.integrate import solve_ivp
 from tools.published_lines import torque_mode_pct
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.tasks.web_reel_torque import RollerMotion
-from hilbench.bench.tasks.web_winding_control import ReelMechanics, ReelTension
+from hilbench.bench.tasks.web_winding_control import ReelMechanics, ReelTension, RollerMotion
 from hilbench.cia402.objects import OperationMode
 from hilbench.diagnosis.measured import measured_from
 from hilbench.errors import UnusableInputError

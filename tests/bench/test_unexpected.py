@@ -11,14 +11,14 @@ from tests.bench.whole_runs import config, run_folders
 from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
-from hilbench.bench.compiled_cycles import CompiledCycles
+from hilbench.bench.cycle import CompiledCycles
 from hilbench.bench.lifecycle import in_process
 from hilbench.bench.operator.operator import Operator
 from hilbench.bench.operator.operator_objects import OperatorObjects
+from hilbench.bench.tasks.limits import LimitWatch
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.bench.tasks.tension_task import TensionTask
 from hilbench.bench.tasks.twin_connection import TwinConnection
-from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.cia402.state_machine import State
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.master_node import MasterNode

@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilbench.can.arbitration import accepts, priority
 from hilbench.can.confinement import ControllerState
 from hilbench.can.disturbance import Disturber, ErrorInjection
-from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG
+from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, accepts, priority
 from hilbench.can.medium import FOREVER, Medium, Station
 from hilbench.can.wire import ERROR_FRAME_BITS
 

@@ -10,7 +10,7 @@ import pytest
 import can
 from hilbench.can.memory import MemoryBus, MemoryCanBus
 from hilbench.can.open import BusAddress, open_python_can
-from hilbench.canopen.network import Network
+from hilbench.canopen.sdo_client import Network
 
 BUSES: dict[str, Callable[[], can.BusABC]] = {
     "in memory": lambda: MemoryCanBus(MemoryBus("left", 1_000_000)),

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilbench.cia402.trajectory import ProfileLimits, Trapezoid
+from hilbench.cia402.profile_position import ProfileLimits, Trapezoid
 
 positions = st.floats(-1e3, 1e3)
 velocities = st.floats(-50.0, 50.0)

@@ -20,7 +20,7 @@ from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig, load_with_overrides
-from hilbench.topology.live_config import LiveDiagnosisConfig
+from hilbench.topology.blocks import LiveDiagnosisConfig
 from hilbench.twin.virtual_io import TwinStatus
 
 #: What 5 N are at the motor of axis 2, and the noise of one sample of its torque; a mean has so many.

@@ -10,7 +10,7 @@ from hilbench.bench.reports.diagnosis_updates import CHUNK_CYCLES, DiagnosisUpda
 from hilbench.live.session import Session
 from hilbench.live.web_line import LiveLine
 from hilbench.runs.config import load_with_overrides
-from hilbench.topology.live_config import LiveDiagnosisConfig
+from hilbench.topology.blocks import LiveDiagnosisConfig
 
 CONFIG = load_with_overrides(Path(__file__).resolve().parents[2] / "bench_configs" / "live_friction.yaml").config
 MODEL, CYCLE_S = CONFIG.web_line, CONFIG.cycle_time_s

@@ -16,8 +16,8 @@ from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.topology.web_line import web_line_shape
 from hilbench.topology.web_line_config import ControllerConfig, TensionControlConfig
-from hilbench.topology.web_line_shape import web_line_shape
 from hilbench.twin.machines.kinds import boundary
 from hilbench.twin.machines.web_line_with_stations import LineWithStationsTwin
 

@@ -21,13 +21,13 @@ from hilbench.bench.lifecycle.startup import TWIN, StartedBench, bring_up, held_
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.model_changes.process import LiveProcess
 from hilbench.bench.model_changes.task import ModelChanges
-from hilbench.bench.observer import CycleObserver
 from hilbench.bench.operator.operator import Operator, StepEvent
 from hilbench.bench.prediction.create import prediction_task
 from hilbench.bench.prediction.task import Prediction
 from hilbench.bench.reports.change import Change
 from hilbench.bench.reports.notice import Notices
 from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.task import CycleObserver
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.watches import ControllerWatch, EmergencyWatch, LatenessWatch, SupervisorWatch
 from hilbench.crash_report import TRACEBACK_FILE, crash_report

@@ -18,15 +18,23 @@ _HELD_S = 2.0
 _WHERE = {"made": "has not been entered", "running": "has been entered already", "ended": "has been left"}
 
 
+@dataclass(slots=True)
+class _Condition:
+    since_s: float
+    until_s: float
+    text: str
+
+
 class Reports:
     """Reports of a running run: notices for the operator, and possible causes of a fault.
 
-    The time of both is that of the last sample.
+    The time of both is that of the last sample, experiment time in s. Causes are lasting conditions by kind, in the
+    order in which they began: what was wrong before a fault is often the better place to look.
     """
 
     def __init__(self, sample: CycleSample, announce: Callable[[str], None]) -> None:
         self.notices = Notices(announce)
-        self.causes = Causes()
+        self._conditions: dict[str, _Condition] = {}
         self._sample = sample
 
     def note(self, source: str, text: str, *, kind: str = "", count: int = 1) -> None:
@@ -34,8 +42,22 @@ class Reports:
         self.notices.note(self._sample.t_s, source, text, kind=kind, count=count)
 
     def condition(self, kind: str, text: str) -> None:
-        """Report a condition that holds now and may cause a fault, see `Causes.holds`."""
-        self.causes.holds(self._sample.t_s, kind, text)
+        """Report a condition that holds now and may cause a fault; `text` describes it as it is now."""
+        time_s, known = self._sample.t_s, self._conditions.get(kind)
+        if known is None or time_s - known.until_s > _HELD_S:
+            self._conditions[kind] = _Condition(time_s, time_s, text)
+        else:
+            known.until_s, known.text = time_s, text
+
+    def cause(self, fault: str) -> str:
+        """Condition that began first of those that held until just now, with its time; "" for none, and where the text
+        of the `fault` has it already."""
+        time_s = self._sample.t_s
+        lasting = [condition for condition in self._conditions.values() if time_s - condition.until_s <= _HELD_S]
+        if not lasting:
+            return ""
+        first = min(lasting, key=lambda condition: condition.since_s)
+        return "" if first.text in fault else f"from t = {first.since_s:.3f} s on: {first.text}"
 
 
 @dataclass
@@ -97,39 +119,7 @@ class BenchState:
         """The drives are to be stopped; a fault gets what may have led to it as its cause."""
         self.fault_time_s = self.sample.t_s
         if isinstance(reason, BenchFaultError) and not isinstance(reason, EmergencyStopError):
-            cause = self.reports.causes.first(self.sample.t_s, str(reason))
+            cause = self.reports.cause(str(reason))
             if cause:
                 reason.add_cause(cause)
         self.enabled, self.stopping = False, True
-
-
-@dataclass(slots=True)
-class _Condition:
-    since_s: float
-    until_s: float
-    text: str
-
-
-class Causes:
-    """Possible causes of a fault: lasting conditions of one run by kind, in the order in which they began; times are
-    experiment time, s. What was wrong before a fault is often the better place to look: it names the first of them."""
-
-    def __init__(self) -> None:
-        self._conditions: dict[str, _Condition] = {}
-
-    def holds(self, time_s: float, kind: str, text: str) -> None:
-        """The condition `kind` holds now; `text` describes it as it is now."""
-        known = self._conditions.get(kind)
-        if known is None or time_s - known.until_s > _HELD_S:
-            self._conditions[kind] = _Condition(time_s, time_s, text)
-        else:
-            known.until_s, known.text = time_s, text
-
-    def first(self, time_s: float, fault: str) -> str:
-        """Condition that began first of those that held until just before `time_s`, with its time; "" for none, and
-        where the text of the `fault` has it already."""
-        lasting = [condition for condition in self._conditions.values() if time_s - condition.until_s <= _HELD_S]
-        if not lasting:
-            return ""
-        first = min(lasting, key=lambda condition: condition.since_s)
-        return "" if first.text in fault else f"from t = {first.since_s:.3f} s on: {first.text}"

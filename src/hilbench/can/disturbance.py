@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from hilbench.can.arbitration import accepts
 from hilbench.can.confinement import OFF_FROM
+from hilbench.can.frame import accepts
 
 #: So many failed attempts in a row take any transmitter off the bus (`confinement`): no frame needs a draw for more.
 MAX_ATTEMPTS = OFF_FROM // 8

@@ -11,8 +11,8 @@ from math import ceil
 from hilbench.can import hub_client, protocol
 from hilbench.can.confinement import ControllerState, bus_off, state_in_message
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, Frame
+from hilbench.can.link import wait_readable, wait_writable
 from hilbench.can.requests import Wanted
-from hilbench.can.waiting import wait_readable, wait_writable
 from hilbench.errors import BusError
 
 #: A sender that floods waits for the wire; a wire that takes nothing for so long is lost.

@@ -32,8 +32,7 @@ from hilbench.can import protocol, requests
 from hilbench.can.confinement import ControllerState
 from hilbench.can.disturbance import Disturber, ErrorInjection
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, is_classical
-from hilbench.can.listeners import Listeners
-from hilbench.can.medium import FOREVER, Delivery, Medium, Station
+from hilbench.can.medium import FOREVER, Delivery, Listeners, Medium, Station
 from hilbench.can.wire import FD_LENGTHS, bits_on_wire, fd_bits_on_wire
 
 if TYPE_CHECKING:

@@ -1,7 +1,9 @@
-"""Interface of the cyclic path to a bus: frames out in order, all waiting frames in, losses counted."""
+"""Interface of the cyclic path to a bus: frames out in order, all waiting frames in, losses counted; waiting for its
+file descriptor with the resolution that a cycle needs."""
 
 from __future__ import annotations
 
+import select
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
@@ -48,3 +50,25 @@ class PacketLink(Link, Protocol):
 
     def packet(self, frame: Frame) -> bytes:
         """Packet with the frame, as to be sent to the descriptor. Raises ValueError for an impossible frame."""
+
+
+_SELECT_LIMIT = 1024  # FD_SETSIZE
+
+
+def wait_readable(descriptor: int, timeout_s: float) -> bool:
+    """True if `descriptor` is readable, or becomes so within `timeout_s`.
+
+    select() waits in microseconds, poll() and epoll in whole milliseconds, rounded up: half a cycle.
+    """
+    if descriptor < _SELECT_LIMIT:
+        return bool(select.select([descriptor], [], [], max(timeout_s, 0.0))[0])
+    poll = select.poll()
+    poll.register(descriptor, select.POLLIN)
+    return bool(poll.poll(max(timeout_s, 0.0) * 1e3))
+
+
+def wait_writable(descriptor: int, timeout_s: float) -> bool:
+    """True if `descriptor` takes data, or does so within `timeout_s`."""
+    poll = select.poll()
+    poll.register(descriptor, select.POLLOUT)
+    return bool(poll.poll(timeout_s * 1e3))

@@ -10,15 +10,47 @@ it joins again (as a SocketCAN interface without restart-ms).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
-from hilbench.can.arbitration import priority
 from hilbench.can.confinement import ControllerState, ErrorCounters
 from hilbench.can.disturbance import Disturber, FrameOutcome
+from hilbench.can.frame import accepts, priority
 from hilbench.can.wire import ERROR_FRAME_BITS
+
+_KNOWN_IDENTIFIERS = 4096
+
+
+class _Filtered(Protocol):
+    @property
+    def filters(self) -> Sequence[tuple[int, int]] | None: ...
+
+
+Listener = TypeVar("Listener", bound=_Filtered)
+
+
+class Listeners(Generic[Listener]):
+    """Cache of the stations of `present` whose filters let an identifier pass, until `forget`."""
+
+    def __init__(self, present: Callable[[], Iterable[Listener]]) -> None:
+        self._present = present
+        self._known: dict[int, list[Listener]] = {}
+
+    def of(self, can_id: int) -> list[Listener]:
+        """Receivers of `can_id` (with its flag bits)."""
+        found = self._known.get(can_id)
+        if found is None:
+            if len(self._known) >= _KNOWN_IDENTIFIERS:
+                self._known.clear()
+            found = self._known[can_id] = [one for one in self._present() if accepts(one.filters, can_id)]
+        return found
+
+    def forget(self) -> None:
+        """Forget receivers: a station has joined or left, or changed its filters."""
+        self._known.clear()
+
 
 #: A point in time no bus reaches: `Medium.run(FOREVER)` sends all that is queued.
 FOREVER = 1 << 63
@@ -82,21 +114,16 @@ class Medium:
         self.disturber: Disturber | None = None
         self.changed: list[Station] = []  #: stations whose state has changed; emptied by the code that reports it
         self._counting = False  # some station has errors counted: only then is every frame counted, too
-        self._stations: list[Station] = []
+        self.stations: list[Station] = []  #: on the wire, in the order in which they joined
         self._sender: Station | None = None  # the station that is sending
         self._end_ns = 0  # when its frame, or its error frame, is over
 
     def join(self, station: Station) -> None:
-        self._stations.append(station)
-
-    @property
-    def stations(self) -> Sequence[Station]:
-        """Stations on the wire, in the order in which they joined."""
-        return self._stations
+        self.stations.append(station)
 
     def leave(self, station: Station) -> None:
         """Take a station off the wire; what is in its queue is not sent."""
-        self._stations.remove(station)
+        self.stations.remove(station)
         if self._sender is station:
             self._sender = None
             self.free_ns = self._end_ns
@@ -129,7 +156,7 @@ class Medium:
             self.disturber is None
             and self._sender is None
             and not self._counting
-            and not any(station.queue for station in self._stations)
+            and not any(station.queue for station in self.stations)
         )
 
     def account(self, frames: int, bits: int, duration_ns: int) -> None:
@@ -142,12 +169,12 @@ class Medium:
         """Time at which `run` has something to do next, if nothing more is queued; None: never."""
         if self._sender is not None:
             return self._end_ns
-        waiting = [station.queue[0].ready_ns for station in self._stations if station.queue]
+        waiting = [station.queue[0].ready_ns for station in self.stations if station.queue]
         return max(self.free_ns, min(waiting)) if waiting else None
 
     def _arbitrate(self, until_ns: int) -> bool:
         """Put the winner among the waiting heads on the wire, if one may begin by `until_ns`."""
-        heads = [station for station in self._stations if station.queue]
+        heads = [station for station in self.stations if station.queue]
         if not heads:
             return False
         winner = heads[0]
@@ -215,11 +242,11 @@ class Medium:
 
     def _count(self, sender: Station, *, failed: bool) -> None:
         """Count errors, or frames without one, of all stations: all see what `sender` sends."""
-        for station in self._stations:
+        for station in self.stations:
             if station is sender or station.state is not ControllerState.BUS_OFF:
                 station.errors.count(own=station is sender, failed=failed)
             state = station.errors.state
             if state is not station.state:
                 station.state = state
                 self.changed.append(station)
-        self._counting = not all(station.errors.clear for station in self._stations)
+        self._counting = not all(station.errors.clear for station in self.stations)

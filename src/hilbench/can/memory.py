@@ -15,13 +15,12 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from hilbench.can.adapter import kernel_filters, to_frame, to_message
 from hilbench.can.confinement import ControllerState, bus_off
 from hilbench.can.disturbance import Disturber, ErrorInjection
 from hilbench.can.embedded import check_frame
 from hilbench.can.frame import Frame
-from hilbench.can.listeners import Listeners
-from hilbench.can.medium import FOREVER, Medium, Station
-from hilbench.can.messages import kernel_filters, to_frame, to_message
+from hilbench.can.medium import FOREVER, Listeners, Medium, Station
 from hilbench.can.python_can import can
 from hilbench.can.wire import bits_on_wire
 from hilbench.errors import BusError

@@ -6,12 +6,12 @@ import time
 from typing import Any
 
 from hilbench.can import hub_client, protocol
+from hilbench.can.adapter import identifier_with_flags, kernel_filters, to_message
 from hilbench.can.embedded import can_record, receive_packet, send_packet
 from hilbench.can.frame import Frame
-from hilbench.can.messages import identifier_with_flags, kernel_filters, to_message
+from hilbench.can.link import wait_readable
 from hilbench.can.python_can import can
 from hilbench.can.requests import Wanted
-from hilbench.can.waiting import wait_readable
 from hilbench.errors import BusError
 
 _CLASSICAL_HEADER = protocol.HEADER.pack(protocol.KIND_CLASSICAL, 0)

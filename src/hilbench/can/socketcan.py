@@ -17,8 +17,8 @@ from hilbench.can.confinement import STATE_CLASSES, ControllerState, bus_off, st
 from hilbench.can.embedded import can_record
 from hilbench.can.frame import ERROR_FLAG, Frame
 from hilbench.can.interfaces import InterfaceLosses
+from hilbench.can.link import wait_readable
 from hilbench.can.protocol import CAN_RECORD
-from hilbench.can.waiting import wait_readable
 from hilbench.errors import BusError
 
 # <asm-generic/socket.h>; Python's socket module does not name them.

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from hilbench.canopen.sync_time import SyncTime
+from hilbench.canopen.clock import SyncTime
 
 #: EMCY error code: SYNC comes by another cycle than the config's (CiA 301: FFxxh, device specific).
 OTHER_CYCLE: Final = 0xFF19

@@ -18,7 +18,7 @@ from hilbench.canopen.device_pdo import RPDO_TIMED_OUT, Rpdo, Tpdo
 from hilbench.canopen.eds import require_integers
 from hilbench.canopen.emcy import COMMUNICATION_ERROR, EmergencyProducer
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
-from hilbench.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from hilbench.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
 from hilbench.canopen.identifiers import (
     COB_ID,
     HEARTBEAT,
@@ -34,7 +34,6 @@ from hilbench.canopen.identifiers import (
     is_restricted,
     node_of,
 )
-from hilbench.canopen.node_guarding import NodeGuarding
 from hilbench.canopen.object_store import INVALID_VALUE, PRESENT_STATE, Cell, ObjectStore, SdoAbort
 from hilbench.canopen.sdo_server import DeviceSdoServer, may_write
 from hilbench.canopen.storage import Storage

@@ -15,6 +15,7 @@ from canopen.objectdictionary import ODVariable
 
 import canopen
 from hilbench.canopen import concise_dcf, eds
+from hilbench.canopen.concise_dcf import Write
 from hilbench.canopen.data_types import DataType, Value, data_type
 from hilbench.canopen.identifiers import MAPPING, NODE_ID, RPDO_INDICES, TPDO_INDICES
 from hilbench.canopen.master import Master
@@ -103,7 +104,7 @@ def read_device(
     return found
 
 
-def settings(configuration: Configuration) -> list[concise_dcf.Write]:
+def settings(configuration: Configuration) -> list[Write]:
     """The writes that give a device this configuration, in an order that it accepts: PDOs by CiA 301's procedure
     (invalid, no entries, entries, their number, parameters, valid), then the rest by index.
 
@@ -115,16 +116,11 @@ def settings(configuration: Configuration) -> list[concise_dcf.Write]:
     mappings = {index + MAPPING for index in pdos}
     writes = [write for index in pdos for write in _pdo_writes(values, index)]
     done = {write.key for write in writes}
-    return writes + [
-        concise_dcf.Write(*key, data)
-        for key, data in sorted(values.items())
-        if key not in done and key[0] not in mappings
-    ]
+    rest = sorted((key, data) for key, data in values.items() if key not in done and key[0] not in mappings)
+    return writes + [Write(*key, data) for key, data in rest]
 
 
-def moved(
-    writes: Sequence[concise_dcf.Write], from_node: int, to_node: int
-) -> tuple[list[concise_dcf.Write], list[Key]]:
+def moved(writes: Sequence[Write], from_node: int, to_node: int) -> tuple[list[Write], list[Key]]:
     """Convert writes to another node id: COB-IDs with the one get the other. Returns them, and the keys changed."""
     found, changed = [], []
     for write in writes:
@@ -138,16 +134,13 @@ def moved(
     return found, sorted(set(changed))
 
 
-def _is_cob_id(write: concise_dcf.Write) -> bool:
+def _is_cob_id(write: Write) -> bool:
     is_pdo = write.sub == 1 and (write.index in RPDO_INDICES or write.index in TPDO_INDICES)
     return len(write.data) == 4 and (is_pdo or write.key == (_EMERGENCY_COB_ID, 0))
 
 
 def write_device(
-    master: Master,
-    node_id: int,
-    writes: list[concise_dcf.Write],
-    progress: Callable[[int, int], None] = lambda *_: None,
+    master: Master, node_id: int, writes: list[Write], progress: Callable[[int, int], None] = lambda *_: None
 ) -> dict[Key, str]:
     """Write all of them in order, and read back what they leave. Returns objects that kept another value, and why.
 
@@ -197,23 +190,23 @@ def _pdo_of(key: Key) -> int | None:
     return index - MAPPING if sub == 0 and of_mapping else None
 
 
-def _pdo_writes(values: Mapping[Key, bytes], index: int) -> Iterator[concise_dcf.Write]:
+def _pdo_writes(values: Mapping[Key, bytes], index: int) -> Iterator[Write]:
     """cob_id: of some devices it is read-only, and the mapping is not."""
     cob_id, mapping = values.get((index, 1)), index + MAPPING
     number = values.get((mapping, 0))
     if cob_id is not None:
-        yield concise_dcf.Write(index, 1, cob_id[:-1] + bytes([cob_id[-1] | 0x80]))
+        yield Write(index, 1, cob_id[:-1] + bytes([cob_id[-1] | 0x80]))
     if number is not None:
-        yield concise_dcf.Write(mapping, 0, b"\0")
+        yield Write(mapping, 0, b"\0")
         for sub in range(1, number[0] + 1):
             if (mapping, sub) in values:
-                yield concise_dcf.Write(mapping, sub, values[mapping, sub])
-        yield concise_dcf.Write(mapping, 0, number)
+                yield Write(mapping, sub, values[mapping, sub])
+        yield Write(mapping, 0, number)
     for (at, sub), data in sorted(values.items()):
         if at == index and sub > 1:
-            yield concise_dcf.Write(index, sub, data)
+            yield Write(index, sub, data)
     if cob_id is not None:
-        yield concise_dcf.Write(index, 1, cob_id)
+        yield Write(index, 1, cob_id)
 
 
 # -- from and to a file ------------------------------------------------------------------------------------------
@@ -224,7 +217,7 @@ def is_concise(path: Path) -> bool:
     return path.suffix.lower() in (".bin", ".cdcf")
 
 
-def writes_of_file(path: Path, od: canopen.ObjectDictionary) -> list[concise_dcf.Write]:
+def writes_of_file(path: Path, od: canopen.ObjectDictionary) -> list[Write]:
     """Writes of a file for a device with this object dictionary; those of a concise DCF in its own order.
 
     Raises UnusableInputError for a file that is none, or one without a value.
@@ -250,7 +243,7 @@ def read_file(path: Path, od: canopen.ObjectDictionary) -> Configuration:
     return Configuration(file, values)
 
 
-def _read_concise(path: Path) -> list[concise_dcf.Write]:
+def _read_concise(path: Path) -> list[Write]:
     with usable(path, "read", "a concise DCF"):
         found = content(path, eds.MOST_BYTES)
     try:

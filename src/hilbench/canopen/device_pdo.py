@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import ClassVar
 
 from canopen.objectdictionary import ODVariable
 
@@ -30,6 +31,7 @@ class _Pdo:
     """Common part of RPDO and TPDO: their parameters, the rules for writing them, and the codec that follows."""
 
     _dummies = False  #: true if placeholders may be mapped
+    _maps: ClassVar[Callable[[ODVariable], bool]]  #: true for a variable that may be in a PDO of this direction
 
     def __init__(self, store: ObjectStore, number: int, communication: int, mapping: int) -> None:
         self.number = number
@@ -104,7 +106,7 @@ class _Pdo:
             return self._dummy(index, sub, bits)
         cell = self._store.requested(index, sub)
         variable = cell.variable
-        if not variable.pdo_mappable or not self._right_direction(variable):
+        if not variable.pdo_mappable or not type(self)._maps(variable):
             raise SdoAbort(NOT_MAPPABLE)
         try:
             length = bit_length(variable)
@@ -113,9 +115,6 @@ class _Pdo:
         if length != bits:
             raise SdoAbort(NOT_MAPPABLE)
         return cell
-
-    def _right_direction(self, variable: ODVariable) -> bool:
-        raise NotImplementedError
 
     def _dummy(self, index: int, sub: int, bits: int) -> Cell:
         """A placeholder: only what the DummyUsage of the EDS allows, and only in a receive PDO."""
@@ -159,6 +158,7 @@ class Rpdo(_Pdo):
     """A receive PDO. Synchronous data act at the next SYNC, event-driven data at once."""
 
     _dummies = True
+    _maps = received_by
 
     def __init__(self, store: ObjectStore, number: int, emcy: EmergencyProducer, now_ns: Callable[[], int]) -> None:
         super().__init__(store, number, 0x1400, 0x1600)
@@ -169,9 +169,6 @@ class Rpdo(_Pdo):
         self._length_error: int | None = None  #: EMCY code of the last frame's wrong length
         self._timer_ms = store.cell(self._index, 5) if (self._index, 5) in store else None
         self.refused = 0  #: values that an object refused
-
-    def _right_direction(self, variable: ODVariable) -> bool:
-        return received_by(variable)
 
     def receive(self, data: bytes) -> None:
         """Data of its frame. Too short: dropped. Too long: its beginning counts (CiA 301, 7.2.2.5.1)."""
@@ -265,6 +262,8 @@ class Rpdo(_Pdo):
 class Tpdo(_Pdo):
     """A transmit PDO; `send(cob_id, data)` puts its frame on the bus."""
 
+    _maps = sent_by
+
     def __init__(self, store: ObjectStore, number: int, send: Callable[[int, bytes], None]) -> None:
         super().__init__(store, number, 0x1800, 0x1A00)
         self._send = send
@@ -273,9 +272,6 @@ class Tpdo(_Pdo):
         self._free_ns = 0
         self._event_ns = 0
         self._started = False
-
-    def _right_direction(self, variable: ODVariable) -> bool:
-        return sent_by(variable)
 
     def restart(self) -> None:
         """Count SYNCs anew and forget what was sent (also when OPERATIONAL is entered)."""

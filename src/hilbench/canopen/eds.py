@@ -69,11 +69,6 @@ def load_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
     return _of_node(path, node_id, _as_of(path))
 
 
-@lru_cache(64)
-def _shared(path: Path, node_id: int, as_of: tuple[int, int]) -> canopen.ObjectDictionary:
-    return _of_node(path, node_id, as_of)
-
-
 def shared_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
     """Load an EDS file once and share it, not to be changed, as long as the file stays as it is: at its start
     a bench needs each file many times. Raises UnusableInputError as `load_eds`.
@@ -91,6 +86,9 @@ def _of_node(path: Path, node_id: int, as_of: tuple[int, int]) -> canopen.Object
     return own
 
 
+_shared = lru_cache(64)(_of_node)
+
+
 @lru_cache(16)  # nodes of one kind share their file; to unpickle takes a fifth of the time to copy
 def _of_any_node(path: Path, as_of: tuple[int, int]) -> tuple[bytes, _Objects]:
     """The dictionary, pickled, and what in it depends on the node id."""
@@ -105,11 +103,6 @@ def _depends_on_node(path: Path, section: _Section) -> bool:
     """True if it is a variable with a value that depends on the node id."""
     is_variable = _integer(path, section, "ObjectType", _VAR) not in _ARRAY_TYPES
     return is_variable and any(NODE_ID in section.options.get(key, "").upper() for key in _VALUES)
-
-
-@lru_cache(16)
-def _sections(path: Path, _as_of: tuple[int, int]) -> dict[str, _Section]:
-    return _read_sections(path)
 
 
 def _as_of(path: Path) -> tuple[int, int]:
@@ -240,7 +233,8 @@ def _full_name(candidate: ODVariable) -> str:
     return f"{snake_case(parent.name)}.{own}" if isinstance(parent, ODRecord | ODArray) else own
 
 
-def _read_sections(path: Path) -> dict[str, _Section]:
+@lru_cache(16)
+def _sections(path: Path, _as_of: tuple[int, int]) -> dict[str, _Section]:
     with usable(path, "read", "an EDS file"):
         text = content(path, MOST_BYTES).decode("utf-8-sig", errors="replace")
     sections: dict[str, _Section] = {}

@@ -14,7 +14,7 @@ from hilbench.can.python_can import can
 from hilbench.canopen.identifiers import HEARTBEAT, NMT, NmtCommand
 from hilbench.canopen.lss_slave import BIT_RATES, UNCONFIGURED
 from hilbench.canopen.master import Identity
-from hilbench.canopen.network import Network
+from hilbench.canopen.sdo_client import Network
 from hilbench.errors import BenchFaultError, BusError, one_line
 
 _MOST_DEVICES: Final = 127

@@ -13,6 +13,7 @@ from typing import Final
 
 import canopen
 from hilbench.canopen import concise_dcf, eds
+from hilbench.canopen.concise_dcf import Write
 from hilbench.canopen.device_configuration import write_device
 from hilbench.canopen.identifiers import LAST_NODE, NmtCommand
 from hilbench.canopen.master import Master
@@ -56,7 +57,7 @@ class Slave:
     node_id: int
     assignment: int  #: 1F81h
     identity: dict[int, int]  #: what is expected, by index of the master's object; 0 or absent: anything
-    configuration: list[concise_dcf.Write]
+    configuration: list[Write]
     heartbeat_s: float  #: within which one is to be received; 0: none is expected
 
     @property
@@ -240,9 +241,7 @@ def _upload_files(path: Path) -> dict[int, Path]:
     return {node_id: path.parent / name for node_id, name in names.items() if name}
 
 
-def _configuration(
-    path: Path, od: canopen.ObjectDictionary, node_id: int, files: dict[int, Path]
-) -> list[concise_dcf.Write]:
+def _configuration(path: Path, od: canopen.ObjectDictionary, node_id: int, files: dict[int, Path]) -> list[Write]:
     place, block = path, b""
     if node_id in files:
         place = files[node_id]

@@ -6,23 +6,208 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from hilbench.can.frame import Frame
-from hilbench.cycle_program import CompiledStage, StageAbortedError, never
+from hilbench.canopen.identifiers import SYNC
+from hilbench.canopen.pdo import PdoMap
+from hilbench.cia402.drive import Drive
+from hilbench.compiled import COUNT, TABLE, Reals, Table, Wholes, arrays_in, entry_point, record_type, records
+from hilbench.cycle_program import CONTINUE, CompiledStage, StageAbortedError, never
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import ExchangeStages
 from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.master_node import MasterNode
+from hilbench.exchange.measured import COUNTED
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import SyncCycle
-from hilbench.fast_path import counting
 from hilbench.fast_path import layout as lay
-from hilbench.fast_path.bench import BenchFrames
-from hilbench.fast_path.tables import FastPathArrays, FastPathRefusedError, reals
+from hilbench.fast_path.tables import (
+    FastPathArrays,
+    FastPathRefusedError,
+    Frames,
+    Slots,
+    feedback_row,
+    new_slots,
+    reals,
+    refuse_if,
+)
 from hilbench.topology.sample import CycleSample
+
+#: Totals: fast-path cycles, their frames, bits, and time on the wire in ns; the cycle of the twin's last status.
+TOTALS = record_type("cycles", "frames", "bits", "duration_ns", "reported", of=np.int64)
+#: Of the twin's status: its frame, and its first slot.
+STATUS = record_type("frame", "slot", of=np.int64)
+#: An output: its place in a sample, and among the set points or the real numbers of the image.
+OUTPUT = record_type("signal", "place", of=np.int64)
+#: What `heartbeat_sent` returns where the bench has sent it.
+SENT = 1
+_BY_CYCLES = lay.BY_CYCLES
+
+
+class Counting(NamedTuple):
+    """The image of a cycle as far as it is counted, and counters; by frame the cycle in which it was there last."""
+
+    frames: Annotated[Any, records(lay.FRAME)]
+    given: Annotated[Any, lay.GIVEN]
+    left: Annotated[Any, lay.LEFT]
+    clocks: Wholes
+    whole: Wholes
+    counted: Annotated[Any, COUNTED]
+    totals: Annotated[Any, TOTALS]
+    received: Wholes
+    status: Annotated[Any, STATUS]
+
+
+class Outputs(NamedTuple):
+    """Set points, with the factor of each output, and real numbers of the image, from the values of a sample."""
+
+    values: Reals
+    set_points: Reals
+    targets: Annotated[Any, records(OUTPUT)]
+    per_unit: Reals
+    real: Reals
+    inputs: Annotated[Any, records(OUTPUT)]
+
+
+#: count(length of a cycle in ns, table of `Counting`): count a fast-path cycle.
+#: heartbeat_sent(row of the bench's heartbeat, table of `Counting`): SENT where that was on the wire.
+#: take_outputs(0, table of `Outputs`): send the outputs in a sample with the next SYNC.
+@entry_point(COUNT, TABLE)
+def count(cycle_ns: int, table: Table) -> int:
+    a = arrays_in(table, Counting)
+    given, left, totals, counted = a.given, a.left, a.totals, a.counted
+    given.start_ns += cycle_ns
+    given.text = left.text
+    for k in range(len(a.clocks)):
+        a.clocks[k] += cycle_ns
+    totals.cycles += 1
+    totals.frames += left.frames
+    totals.bits += left.bits
+    totals.duration_ns += left.duration_ns
+    counted.cycles += 1
+    counted.bits = left.bits
+    if a.frames[a.status.frame].bits_on_wire != 0:
+        counted.twin_sync, counted.twin_status = a.whole[a.status.slot], a.whole[a.status.slot + 2]
+        totals.reported = totals.cycles
+    if left.timed != 0:
+        for k in range(len(a.frames)):
+            if a.frames[k].timing != _BY_CYCLES and a.frames[k].bits_on_wire != 0:
+                a.received[k] = totals.cycles
+    return CONTINUE
+
+
+@entry_point(COUNT, TABLE)
+def heartbeat_sent(row: int, table: Table) -> int:
+    return SENT if arrays_in(table, Counting).frames[row].bits_on_wire != 0 else CONTINUE
+
+
+@entry_point(COUNT, TABLE)
+def take_outputs(_: int, table: Table) -> int:
+    a = arrays_in(table, Outputs)
+    for k in range(len(a.targets)):
+        a.set_points[a.targets[k].place] = a.values[a.targets[k].signal] * a.per_unit[k]
+    for k in range(len(a.inputs)):
+        a.real[a.inputs[k].place] = a.values[a.inputs[k].signal]
+    return CONTINUE
+
+
+#: Loaded before a cycle has to wait for them.
+STAGES = count, heartbeat_sent, take_outputs
+
+
+class BenchFrames(ABC):
+    """Frames of each fast-path cycle of a bench: set points, its heartbeat and SYNC, which are the first `asked`, then
+    what answers. The slots of their values.
+
+    `targets`: rows of `layout.TARGET`; `boundary_slots`: slots of the twin's boundary inputs; `own_heartbeat`: its row,
+    -1: there is none; `virtual_io`: rows of `layout.VIRTUAL_IO`; `status`: row of the twin's status, its first slot;
+    `heartbeats`: node ids of those whose heartbeats may come, each with its row.
+    """
+
+    def __init__(self, nodes: Nodes, sync: SyncCycle) -> None:
+        """Raises FastPathRefusedError where cycles do not fit the fast path."""
+        self.nodes, self.sync = nodes, sync
+        self.slots, self.frames = Slots(), Frames()
+        self.targets: list[tuple[float, int, int, int, float]] = []
+        self.boundary_slots: list[int] = []
+        self.own_heartbeat = -1
+        self.heartbeats: list[tuple[int, int]] = []
+        self._send_set_points()
+        self._send_boundary_inputs()
+        heartbeat, every = sync.heartbeat
+        if every:
+            count = (sync.timing.cycles - 1) % every
+            state = bytes(heartbeat.data)
+            self.own_heartbeat = self.frames.add(heartbeat.can_id, lay.BEFORE_SYNC, state, every=every, count=count)
+        self.frames.add(SYNC, lay.SYNC, b"")
+        self.asked = len(self.frames.rows)
+        self.answer()
+        self.virtual_io: list[tuple[int, int, int, int]] = []
+        self._raw: list[tuple[Drive, dict[int, int]]] = []
+        self._take()
+
+    @abstractmethod
+    def answer(self) -> None:
+        """Add what answers. Raises FastPathRefusedError."""
+
+    def _send_set_points(self) -> None:
+        frames, slots = self.frames, self.slots
+        for drive, _, _ in self.nodes.set_points:
+            rpdo = drive.pdos.rpdo
+            controlword, target = new_slots(slots, rpdo)
+            slots.whole[controlword] = drive.controlword
+            frames.add(rpdo.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, target))
+            self.targets.append((drive.set_point_unit, drive.most_raw, target, -1, 1.0))
+            for copy in drive.settings.copies:
+                copied = slots.new(False)
+                frames.add(copy.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, copied))
+                self.targets.append((1.0, drive.most_raw, copied, target, copy.factor))
+
+    def _send_boundary_inputs(self) -> None:
+        for boundary in self.nodes.io.boundary:
+            refuse_if(not all(kind.is_float for kind in boundary.kinds))
+            boundary_slots = new_slots(self.slots, boundary)
+            self.frames.add(boundary.cob_id, lay.BEFORE_SYNC, boundary, boundary_slots)
+            self.boundary_slots += boundary_slots
+
+    def _take(self) -> None:
+        """Take feedback of the drives, each of whose TPDOs answers each SYNC in whole numbers, and what the twin's
+        virtual I/O brings."""
+        nodes = self.nodes
+        for drive in nodes.drives:
+            raw: dict[int, int] = {}
+            for _, pdo, indices in drive.pdos.tpdos:
+                refuse_if(pdo.period != 1)
+                raw.update(zip(indices, self._take_pdo(pdo, is_float=False)[1], strict=True))
+            self._raw.append((drive, raw))
+        row, taken = self._take_pdo(nodes.io.status, is_float=False)
+        self.status = row, taken[0]
+        for pdo, part in zip(nodes.io.sent, nodes.measured.parts, strict=True):
+            row, taken = self._take_pdo(pdo, is_float=True)
+            self.virtual_io.append((row, taken[0], taken[-1] + 1, part.start))
+
+    def _take_pdo(self, pdo: PdoMap, *, is_float: bool) -> tuple[int, list[int]]:
+        """Take a TPDO: its row, and the slots of its values."""
+        refuse_if(any(kind.is_float is not is_float for kind in pdo.kinds))
+        row, taken = self.frames.row_of(pdo.cob_id), new_slots(self.slots, pdo)
+        self.frames.take(row, pdo, taken)
+        return row, taken
+
+    @property
+    def feedback(self) -> list[tuple[Any, ...]]:
+        """Rows of `layout.FEEDBACK` for the drives now. Raises FastPathRefusedError if a drive's state is unknown."""
+        return [feedback_row(drive, raw) for drive, raw in self._raw]
+
+    def give(self, seen: lay.Rows, whole: lay.Whole) -> None:
+        """The drives know what has come."""
+        values = whole.tolist()
+        for (drive, raw), row in zip(self._raw, seen, strict=True):
+            drive.counter.counted_until(int(row["value"]), int(row["last"]))
+            drive.decoded_until({index: values[slot] for index, slot in raw.items()})
+
 
 #: Cycles after which the fast path is tried again after a refusal.
 LOOK_AGAIN = 8
@@ -76,17 +261,17 @@ class BenchFastCycle(ABC):
         given = np.flatnonzero(targets["source"] < 0).tolist()
         self._names = [(at, name, per_unit) for at, (_, name, per_unit) in zip(given, nodes.set_points, strict=True)]
         self._boundary_places = list(zip(wiring.boundary_slots, nodes.boundary_names, strict=True))
-        self._totals, self._received = np.zeros(1, counting.TOTALS), np.zeros(len(arrays.rows), np.int64)
+        self._totals, self._received = np.zeros(1, TOTALS), np.zeros(len(arrays.rows), np.int64)
         self._passed = self._totals[0].item()
-        counted = counting.Counting(
+        counted = Counting(
             *(arrays.rows, arrays.given, arrays.left, arrays.clocks, arrays.whole),
-            *(measured.counted, self._totals, self._received, np.array([wiring.status], counting.STATUS)),
+            *(measured.counted, self._totals, self._received, np.array([wiring.status], STATUS)),
         )
-        self._count = CompiledStage(counting.count, nodes.config.cycle_ns, counted, fallback=never)
+        self._count = CompiledStage(count, nodes.config.cycle_ns, counted, fallback=never)
         self._heartbeat: list[CompiledStage] = []
         if wiring.own_heartbeat >= 0:
             self._heartbeat.append(
-                CompiledStage(counting.heartbeat_sent, wiring.own_heartbeat, counted, fallback=self._send_heartbeat)
+                CompiledStage(heartbeat_sent, wiring.own_heartbeat, counted, fallback=self._send_heartbeat)
             )
 
     # -- parts of a cycle ------------------------------------------------------------------------------------
@@ -97,15 +282,13 @@ class BenchFastCycle(ABC):
 
     @abstractmethod
     def _stages(self) -> Sequence[CompiledStage]:
-        """Stages between outputs and counting."""
+        """Stages between outputs and"""
 
-    @abstractmethod
-    def _account(self, frames: int, bits: int, duration_ns: int, begun_ns: int) -> None:
-        """Account for cycles that were run."""
+    def _account(self, frames: int, bits: int, duration_ns: int, begun_ns: int) -> None:  # noqa: B027
+        """Account for cycles that were run, where not only the bench counts them."""
 
-    @abstractmethod
-    def _give(self) -> None:
-        """Update objects that are not of the bench."""
+    def _give(self) -> None:  # noqa: B027
+        """Update objects that are not of the bench, where these are in the arrays."""
 
     def _send_heartbeat(self, _: int) -> bool:
         """The bench's heartbeat was on the wire."""
@@ -166,15 +349,15 @@ class BenchFastCycle(ABC):
     def _outputs_of(self, sample: CycleSample, shown: Mapping[str, str]) -> CompiledStage:
         """Take outputs from the signals that show them."""
         place, outputs = type(sample).place, self._names
-        arrays = counting.Outputs(
+        arrays = Outputs(
             sample.reals,
             self._set_points,
-            np.array([(place(shown[name]), at) for at, name, _ in outputs], counting.OUTPUT),
+            np.array([(place(shown[name]), at) for at, name, _ in outputs], OUTPUT),
             np.array([per_unit for _, _, per_unit in outputs]),
             self._arrays.real,
-            np.array([(place(shown[name]), slot) for slot, name in self._boundary_places], counting.OUTPUT),
+            np.array([(place(shown[name]), slot) for slot, name in self._boundary_places], OUTPUT),
         )
-        return CompiledStage(counting.take_outputs, 0, arrays, fallback=never)
+        return CompiledStage(take_outputs, 0, arrays, fallback=never)
 
     def _leave(self) -> None:
         """Leave the fast path in a cycle."""
@@ -211,13 +394,9 @@ class BenchFastCycle(ABC):
         fault, self._fault = self._fault or self._write_lines(TOGETHER), None
         if fault is not None:
             raise fault
-        received = [(node, int(self._received[row]) - before) for node, row in self._heartbeats()]
+        received = [(node, int(self._received[row]) - before) for node, row in self._wiring.heartbeats]
         received = [(node, at) for node, at in received if at > 0]
         self._nodes.pass_fast_path(cycles, received, max(0, totals[4] - before))
-
-    @abstractmethod
-    def _heartbeats(self) -> Sequence[tuple[int, int]]:
-        """Node ids of those whose heartbeats may come, each with its row."""
 
     def _write_lines(self, least: int) -> BenchFaultError | None:
         """Write the lines of the last cycles, if they are so many; returns the trace's error, if any."""

@@ -20,12 +20,11 @@ from hilbench.exchange.frame_tap import LineTap
 from hilbench.exchange.master_node import MasterNode
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import SyncCycle
-from hilbench.fast_path import counting, packet_kernel
 from hilbench.fast_path import layout as lay
-from hilbench.fast_path.bench import BenchFrames
-from hilbench.fast_path.bench_cycle import LOOK_AGAIN, TOGETHER, BenchFastCycle, FastPath
+from hilbench.fast_path import packet_kernel
+from hilbench.fast_path.bench_cycle import LOOK_AGAIN, STAGES, TOGETHER, BenchFastCycle, BenchFrames, FastPath
 from hilbench.fast_path.packet_kernel import NOTHING, UNSENT, PacketPort
-from hilbench.fast_path.tables import FastPathRefusedError
+from hilbench.fast_path.tables import refuse_if
 
 #: The pause after a run is doubled each time that too few cycles in a row fitted for it to pay, up to the longest.
 _LONGEST_PAUSE, _PAYS = 512, 64
@@ -48,7 +47,7 @@ class FastPathExchange(FastPath):
     @staticmethod
     def warm_up() -> None:
         """Compile, or load from the cache, the functions called: in good time, where one is to be made later."""
-        load(packet_kernel.ask, packet_kernel.collect, counting.count, counting.heartbeat_sent, counting.take_outputs)
+        load(packet_kernel.ask, packet_kernel.collect, *STAGES)
 
     def _new_run(self) -> BenchFastCycle:
         return PacketCycle(self._link, _AnsweredFrames(self._nodes, self._sync), self._tap)
@@ -59,13 +58,11 @@ class FastPathExchange(FastPath):
 
 
 class _AnsweredFrames(BenchFrames):
-    """Frames of a bench, and what the nodes on its bus answer. `heartbeats`: node ids and rows; `checks`: rows of
-    `packet_kernel.CHECK`."""
+    """Frames of a bench, and what the nodes on its bus answer. `checks`: rows of `packet_kernel.CHECK`."""
 
     def answer(self) -> None:
         """Add TPDOs and heartbeats. Raises FastPathRefusedError where a TPDO is one that only the interpreted cycle
         knows, or is not due when it was before."""
-        self.heartbeats: list[tuple[int, int]] = []
         self.checks: list[tuple[int, int, int, int, int]] = []
         nodes, frames, cycles = self.nodes, self.frames, self.sync.timing.cycles
         for cob_id, tpdo in nodes.answers.items():
@@ -73,13 +70,11 @@ class _AnsweredFrames(BenchFrames):
             frames.add(cob_id, lay.ANSWER, bytes(tpdo.size), every=tpdo.every, count=count)
         for pdo in self.sync.due_at_times:  # of every n-th SYNC: due n SYNCs after its last one
             left = (pdo.since - cycles) % pdo.every or pdo.every
-            if nodes.answers[pdo.cob_id].since + left != pdo.every:
-                raise FastPathRefusedError
+            refuse_if(nodes.answers[pdo.cob_id].since + left != pdo.every)
         expected = {*self.sync.due_always, *(pdo.cob_id for pdo in self.sync.due_at_times)}
         taken = {pdo.cob_id for drive in nodes.drives for _, pdo, _ in drive.pdos.tpdos}
         taken |= {pdo.cob_id for pdo in (nodes.io.status, *nodes.io.sent)}
-        if not expected == set(nodes.answers) == taken:
-            raise FastPathRefusedError
+        refuse_if(not expected == set(nodes.answers) == taken)
         for node_id in dict.fromkeys(part.node.node_id for part in nodes.config.parts):
             row = frames.add(HEARTBEAT + node_id, lay.ANSWER, _OPERATIONAL, timing=lay.BY_ARRIVAL)
             self.heartbeats.append((node_id, row))
@@ -103,7 +98,7 @@ class PacketCycle(BenchFastCycle):
     def __init__(self, link: EmbeddedLink, wiring: _AnsweredFrames, tap: LineTap | None) -> None:
         """Raises FastPathRefusedError where cycles do not fit the fast path."""
         super().__init__(wiring, tap)
-        self._link, self._heartbeat_rows = link, wiring.heartbeats
+        self._link = link
         count, bitrate = len(wiring.frames.rows), self._nodes.config.bus.bitrate
         port = PacketPort(self._arrays.image, link.fileno(), link.dropped, wiring.asked, count, wiring.checks)
         self._port = port
@@ -152,12 +147,3 @@ class PacketCycle(BenchFastCycle):
         outgoing = self._frames_of(self._arrays.image.order[: self._arrays.left[0]["frames"]].tolist())
         fault, self._fault = self._fault, None
         return self._sync.finish([frame._replace(time_ns=0) for frame in outgoing[:-1]], [], came, fault)
-
-    def _give(self) -> None:
-        """Nothing else is in the arrays."""
-
-    def _account(self, frames: int, bits: int, duration_ns: int, begun_ns: int) -> None:
-        """Nothing else counts them."""
-
-    def _heartbeats(self) -> Sequence[tuple[int, int]]:
-        return self._heartbeat_rows

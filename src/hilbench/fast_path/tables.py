@@ -32,6 +32,12 @@ class FastPathRefusedError(Exception):
     """Something of the bench is of a kind that only the interpreted cycle knows."""
 
 
+def refuse_if(misfit: object) -> None:
+    """Raise FastPathRefusedError where something does not fit the fast path."""
+    if misfit:
+        raise FastPathRefusedError
+
+
 @dataclass
 class Slots:
     """Slots of values: one for each cell of the devices' objects, and others."""
@@ -97,14 +103,12 @@ class Frames:
 
     def take(self, row: int, content: PdoMap, slots: Sequence[int]) -> None:
         """Take a frame's content into these slots. Raises FastPathRefusedError where its length differs."""
-        if content.size != self.sizes[row]:
-            raise FastPathRefusedError
+        refuse_if(content.size != self.sizes[row])
         self.received += _fields(row, content, slots)
 
     def row_of(self, cob_id: int) -> int:
         """The row of an identifier. Raises FastPathRefusedError for one that is not sent."""
-        if cob_id not in self.cob_ids:
-            raise FastPathRefusedError
+        refuse_if(cob_id not in self.cob_ids)
         return self.cob_ids.index(cob_id)
 
     def every(self, row: int) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from hilbench.canopen.sync_time import SyncTime
+from hilbench.canopen.clock import SyncTime
 
 #: How far the clock that paces SYNC may be from ours, for the drives to follow it: this part of the time, and what
 #: jitter looks like (sample times, and part of the config's cycle).

@@ -24,9 +24,9 @@ from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.master_node import MasterNode
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import SyncCycle
-from hilbench.fast_path import counting, kernel
+from hilbench.fast_path import kernel
 from hilbench.fast_path import layout as lay
-from hilbench.fast_path.bench_cycle import BenchFastCycle, FastPath
+from hilbench.fast_path.bench_cycle import STAGES, BenchFastCycle, FastPath
 from hilbench.fast_path.motors import Motors
 from hilbench.fast_path.tables import FastPathRefusedError, drive_row
 from hilbench.in_process_cycle.wiring import InOneProcess, Wiring
@@ -50,7 +50,7 @@ class FastPathCycles(FastPath):
     @staticmethod
     def warm_up() -> None:
         """Compile, or load from the cache, the functions called."""
-        load(kernel.exchange, kernel.publish, counting.count, counting.heartbeat_sent, counting.take_outputs)
+        load(kernel.exchange, kernel.publish, *STAGES)
 
     @property
     def _locks(self) -> Sequence[AbstractContextManager[Any]]:
@@ -211,9 +211,6 @@ class _Run(BenchFastCycle):
     def _account(self, frames: int, bits: int, duration_ns: int, begun_ns: int) -> None:
         self._here.bus.account(frames, bits, duration_ns)
         self._tick(begun_ns, int(self._totals[0]["cycles"]))
-
-    def _heartbeats(self) -> Sequence[tuple[int, int]]:
-        return [(device.node_id, row) for host in self._wiring.hosts for device, row in host.heartbeats]
 
     # -- back to the objects ---------------------------------------------------------------------------------
 

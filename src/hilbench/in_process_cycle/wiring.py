@@ -15,9 +15,9 @@ from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.identifiers import SYNC
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
-from hilbench.fast_path.bench import BenchFrames
-from hilbench.fast_path.devices import HostFrames
-from hilbench.fast_path.tables import FastPathRefusedError, new_slots
+from hilbench.fast_path.bench_cycle import BenchFrames
+from hilbench.fast_path.host_cycle import HostFrames
+from hilbench.fast_path.tables import new_slots, refuse_if
 from hilbench.hardware.simulation import RigApplication
 from hilbench.twin.in_arrays import received_row
 from hilbench.twin.process import TwinApplication
@@ -60,8 +60,7 @@ class Wiring(BenchFrames):
         self.received: list[tuple[Any, ...]] = []
         for listener in here.machine.listeners:
             row, taken = self.frames.row_of(listener.cob_id), new_slots(self.slots, listener.pdo)
-            if row < self.asked or self.frames.every(row) != 1:
-                raise FastPathRefusedError
+            refuse_if(row < self.asked or self.frames.every(row) != 1)
             self.frames.take(row, listener.pdo, taken)
             self.received.append(received_row(listener, taken[listener.position], taken[listener.torque]))
         self._check_phases()
@@ -69,7 +68,6 @@ class Wiring(BenchFrames):
     def answer(self) -> None:
         """Add the answers of the hosts."""
         here = self._here
-        self._check_listeners()
         drives = (*here.rig.drives, *here.machine.drives)
         cycle_ns = self.nodes.config.cycle_ns
         self.hosts = [
@@ -80,29 +78,18 @@ class Wiring(BenchFrames):
             host.receive()
         for host in self.hosts:
             host.answer()
-        self._check_answers()
+        self.heartbeats = [(device.node_id, row) for host in self.hosts for device, row in host.heartbeats]
+        self._check_receivers()
 
-    def _check_listeners(self) -> None:
-        """Check that only the hosts receive the bench's frames."""
-        hosts = (self._here.hardware, self._here.twin)
-        for cob_id in self.frames.cob_ids:
-            links = self._here.bus.hear(cob_id)
-            if any(link not in (self._here.link, hosts[0].link, hosts[1].link) for link in links):
-                raise FastPathRefusedError
-        if any(device.sync_cob_id != SYNC for served in hosts for device in served.devices):
-            raise FastPathRefusedError
-
-    def _check_answers(self) -> None:
-        """Check that only the bench and the twin's application receive the answers."""
-        frames, here = self.frames, self._here
-        for row in range(self.asked, len(frames.rows)):
-            cob_id = frames.cob_ids[row]
+    def _check_receivers(self) -> None:
+        """Check that only bench and hosts receive frames, and of answers only the bench and the twin's application."""
+        here, hosts = self._here, (self._here.hardware, self._here.twin)
+        for row, cob_id in enumerate(self.frames.cob_ids):
             links = here.bus.hear(cob_id)
-            known = (here.link, here.hardware.link, here.twin.link)
-            if here.link not in links or any(link not in known for link in links):
-                raise FastPathRefusedError
-            if here.hardware.host.addressees(cob_id) or here.twin.host.addressees(cob_id):
-                raise FastPathRefusedError
+            refuse_if(any(link not in (here.link, hosts[0].link, hosts[1].link) for link in links))
+            is_answer = row >= self.asked
+            refuse_if(is_answer and (here.link not in links or any(served.host.addressees(cob_id) for served in hosts)))
+        refuse_if(any(device.sync_cob_id != SYNC for served in hosts for device in served.devices))
 
     def _check_phases(self) -> None:
         """Check that the TPDOs that the bench expects are those that the nodes send, in phase."""
@@ -110,18 +97,12 @@ class Wiring(BenchFrames):
         sent = {frames.cob_ids[row]: (row, tpdo) for host in self.hosts for _, tpdo, row in host.answering}
         expected: list[ExpectedPdo] = [*self.sync.due_always.values(), *self.sync.due_at_times]
         for pdo in expected:
-            if pdo.cob_id not in sent:
-                raise FastPathRefusedError
+            refuse_if(pdo.cob_id not in sent)
             row, tpdo = sent[pdo.cob_id]
-            if tpdo.transmission_type != pdo.every or pdo.size not in (None, frames.sizes[row]):
-                raise FastPathRefusedError
-            if (cycles + pdo.every - tpdo.syncs - pdo.since) % pdo.every:
-                raise FastPathRefusedError
-        if {pdo.cob_id for pdo in expected} != set(self.nodes.answers):
-            raise FastPathRefusedError
+            refuse_if(tpdo.transmission_type != pdo.every or pdo.size not in (None, frames.sizes[row]))
+            refuse_if((cycles + pdo.every - tpdo.syncs - pdo.since) % pdo.every)
+        refuse_if({pdo.cob_id for pdo in expected} != set(self.nodes.answers))
         for cob_id, answer in self.nodes.answers.items():
             row, tpdo = sent[cob_id]
-            if answer.size != frames.sizes[row] or answer.every != tpdo.transmission_type:
-                raise FastPathRefusedError
-            if answer.every != 1 and answer.since != tpdo.syncs and answer.since < answer.every:
-                raise FastPathRefusedError
+            refuse_if(answer.size != frames.sizes[row] or answer.every != tpdo.transmission_type)
+            refuse_if(answer.every != 1 and answer.since != tpdo.syncs and answer.since < answer.every)

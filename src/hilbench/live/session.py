@@ -44,7 +44,7 @@ from hilbench.plant.effect import Effect, MachineKind, ProbeOver, Section
 from hilbench.plant.effects import find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
-from hilbench.topology.live_config import LiveDiagnosisConfig
+from hilbench.topology.blocks import LiveDiagnosisConfig
 from hilbench.twin.model_switch import with_effects
 
 #: Effects that begin at a time, or swing with it, by a clock that a window and a twin do not share.

@@ -18,8 +18,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from hilbench.can.adapter import to_frame, to_message
 from hilbench.can.frame import ERROR_FLAG, Frame
-from hilbench.can.messages import to_frame, to_message
 from hilbench.can.python_can import can
 from hilbench.errors import EXIT_CRITERION_FAILED, HilbenchError, UnusableInputError, one_line
 from hilbench.files import written_whole

@@ -15,9 +15,8 @@ import numpy as np
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS
 from hilbench.bench.operator.operator_objects import INDEX
 from hilbench.bench.prediction.create import foreseeable, look_of
-from hilbench.bench.prediction.hindsight import Hindsight
 from hilbench.bench.prediction.task import Look
-from hilbench.bench.prediction.window import CYCLES, Window
+from hilbench.bench.prediction.window import CYCLES, Hindsight, Window
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.canopen.data_types import DataType

@@ -8,8 +8,7 @@ from math import nan
 
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.load_model import LoadModel
-from hilbench.bench.tasks.load_task import LoadTask
+from hilbench.bench.tasks.load_model import LoadModel, LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.shaft_limits import limit_watch
@@ -63,7 +62,7 @@ def tasks_with(config: BenchConfig, state: BenchState, load: LoadTask) -> Machin
     speed = Reference(SPEED, config.quick_stop_per_s2 * config.cycle_time_s)
     return MachineTasks(
         reference=speed,
-        quantities=(speed, load),
+        quantities=(speed, load.model),
         control=(SpeedTask(drive, speed), load),
         watches=(
             QuietWatch("limits", limit_watch(config, motor), state.reports),

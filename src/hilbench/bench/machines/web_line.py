@@ -3,7 +3,6 @@ tension controller where the span between has one; load motors emulate the web."
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
@@ -14,9 +13,8 @@ import numpy as np
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState, TwinState
-from hilbench.bench.tasks import web_axis_cycle
 from hilbench.bench.tasks.emulated_web import emulated_web, web_load_model
-from hilbench.bench.tasks.load_task import LoadTask
+from hilbench.bench.tasks.load_model import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
@@ -26,16 +24,14 @@ from hilbench.bench.tasks.tension_probing import Probing
 from hilbench.bench.tasks.tension_task import AxisTask, LoopNames, TensionTask
 from hilbench.bench.tasks.tension_watch import TensionWatch, watched_loops
 from hilbench.bench.tasks.watches import QuietWatch
-from hilbench.bench.tasks.web_carriage_force import CarriageForceTask
+from hilbench.bench.tasks.web_axes import WebAxis
 from hilbench.bench.tasks.web_entering_strain import EnteringStrain, strains_around
-from hilbench.bench.tasks.web_limits import LimitWatch
-from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
-from hilbench.bench.tasks.web_reel_torque import LoadCells, ReelTorqueTask
-from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelTravel
+from hilbench.bench.tasks.web_limits import limit_watch
+from hilbench.bench.tasks.web_positions import CarriageForceTask, CarriageStops, PositionTask
+from hilbench.bench.tasks.web_reels import LoadCells, MeasuredReel, ReelSpeeds, ReelTorqueTask, ReelTravel
 from hilbench.bench.tasks.web_standstill_excitation import StandstillExcitation, excitation_amplitudes_m
 from hilbench.bench.tasks.web_winding_control import DancerPosition
-from hilbench.compiled import Vector, load
-from hilbench.cycle_program import CompiledStage, Function, never, python_stage
+from hilbench.cycle_program import python_stage
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.problems import Problem
 from hilbench.exchange.exchange import Inputs
@@ -46,8 +42,8 @@ from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample, sample_type
 from hilbench.topology.signals import Shape
+from hilbench.topology.web_line import sensors_at_start
 from hilbench.topology.web_line_config import CompensationConfig, ProbingConfig, TensionControlConfig, loops_of
-from hilbench.topology.web_line_shape import sensors_at_start
 from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 #: Age of the twin's data, in cycles, up to which a line without tension control rides it out.
@@ -76,12 +72,12 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     plan = FeedForwardTask(section_model(model), cycle_s, line_speed, loops, rises_s) if rises_s else None
     torqued = config.reel_controls
     leads = max(axis for axis in range(1, model.axis_count + 1) if axis not in torqued)
-    leading = LeadingAxis(drives[leads - 1], leads, line_speed)
+    leading = WebAxis(drives[leads - 1], leads, line_speed)
     reels = [
         ReelTorqueTask(control, drives[axis - 1], axis, leading, leads, model, config.shape, state)
         for axis, control in torqued.items()
     ]
-    axes: list[LeadingAxis | FollowingAxis | TensionTask | PositionTask] = [leading]
+    axes: list[WebAxis | TensionTask | PositionTask] = [leading]
     forces: list[CarriageForceTask] = []
     compensating: list[CompensationTask] = []
     for axis in range(leads - 1, 0, -1):
@@ -96,7 +92,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
                 forces.append(CarriageForceTask(force, model, carriage, axis, axes[-1], axes[-2], state))
             continue
         if control is None:
-            axes.append(FollowingAxis(drives[axis - 1], axis, axes[-1], plan))
+            axes.append(WebAxis(drives[axis - 1], axis, axes[-1], plan))
             continue
         own_plan, entering = (plan, neighbour_strains(config, axis)) if axis in rises_s else (None, ())
         travels = _trajectories(config, axis)
@@ -113,7 +109,6 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     sensors = sensors_at_start(emulated_web(model, config.load), config.shape)
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N, sensors)
     load = WebLoadTask(config, partial(reports.note, "load model"))
-    limit_watch = LimitWatch(limits, model, cycle_s, config.shape)
     return MachineTasks(
         reference=line_speed,
         quantities=(
@@ -122,7 +117,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
             *reels,
             *forces,
             *(axis for axis in axes if isinstance(axis, PositionTask)),
-            load,
+            load.model,
             *probing,
         ),
         control=(
@@ -134,7 +129,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
             WebAlarms(loops.values(), state.twin, stop_on_break=config.safety.on_web_break == "stop"),
             *(CarriageStops(each) for each in model.carriages if each.station.name in config.load.measured),
             OpenLoops(list(loops.values()), line_speed, config.safety.loop_open_s, state),
-            QuietWatch("limits", limit_watch, reports),
+            QuietWatch("limits", limit_watch(limits, model, cycle_s, config.shape), reports),
             QuietWatch("saturation", SaturationWatch(config), reports),
         ),
         twin_age_limit_cycles=max((control.twin_age_limit_cycles for control in controls.values()), default=_TWIN_AGE),
@@ -276,53 +271,6 @@ class BoundaryTask(CyclicTask):
         """Boundary inputs with the drives disabled; stations are as at the start when they are enabled again."""
         self._moved = False
         self.before(sample, outputs)
-
-
-class _AxisWithoutLoop(AxisTask):
-    """Axis whose velocity one compiled stage makes, from other axes and the standstill excitation."""
-
-    def __init__(self, drive: str, axis: int, function: Function) -> None:
-        super().__init__()
-        self._drive = drive
-        self._command = f"v{axis}_cmd_m_s"
-        self._function = function
-        self._excitations = np.array([(0.0, np.nan)], web_axis_cycle.EXCITATION)
-        self.moved = self._excitations.view(np.recarray)[0]  #: its standstill excitation
-        load(function)
-
-    @abstractmethod
-    def _arrays(self, values: Vector) -> tuple[Any, ...]:
-        """What `function` works on with the `reals` of a sample."""
-
-    def stages(self, sample: CycleSample) -> CompiledStages:
-        """Compiled stage that makes the velocity command, m/s at the web."""
-        place, arrays = type(sample).place(self._command), self._arrays(sample.reals)
-        command = CompiledStage(self._function, place, arrays, fallback=never)
-        return CompiledStages(before=[command], shown={self._drive: self._command})
-
-
-class LeadingAxis(_AxisWithoutLoop):
-    """The last axis follows the line speed."""
-
-    def __init__(self, drive: str, axis: int, line_speed: Reference) -> None:
-        super().__init__(drive, axis, web_axis_cycle.lead)
-        self._line_speed = line_speed
-
-    def _arrays(self, values: Vector) -> web_axis_cycle.LeadingArrays:
-        return web_axis_cycle.LeadingArrays(self._line_speed.vector, self._excitations, self.speeds, values)
-
-
-class FollowingAxis(_AxisWithoutLoop):
-    """Axis before a span without a controller: it turns as fast as the one after it, so that the strain in the span is
-    the one that enters it. With the damping of that axis, or the span would be stretched by it."""
-
-    def __init__(self, drive: str, axis: int, leader: AxisTask, ahead: FeedForwardTask | None) -> None:
-        super().__init__(drive, axis, web_axis_cycle.follow)
-        self._leader = leader
-        self._lead = ahead.lead(axis) if ahead else np.zeros(1)
-
-    def _arrays(self, values: Vector) -> web_axis_cycle.FollowingArrays:
-        return web_axis_cycle.FollowingArrays(self._leader.speeds, self._lead, self._excitations, self.speeds, values)
 
 
 class WebLoadTask(LoadTask):

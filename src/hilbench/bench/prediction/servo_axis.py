@@ -6,9 +6,8 @@ from collections.abc import Callable
 from functools import partial
 
 from hilbench.arrays import Array
-from hilbench.bench.prediction.hindsight import Hindsight
 from hilbench.bench.prediction.task import Look
-from hilbench.bench.prediction.window import Reading, Window
+from hilbench.bench.prediction.window import Hindsight, Reading, Window
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.shaft_limits import limited
 from hilbench.prediction.config import PredictionConfig

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.bench.prediction.announcements import Announcement, Announcements
-from hilbench.bench.prediction.hindsight import Hindsight
-from hilbench.bench.prediction.window import Reading, Window
+from hilbench.bench.prediction.window import Hindsight, Reading, Window
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.limits import Limited

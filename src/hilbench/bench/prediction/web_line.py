@@ -9,9 +9,8 @@ from operator import attrgetter
 
 import numpy as np
 
-from hilbench.bench.prediction.hindsight import Hindsight
 from hilbench.bench.prediction.task import Look
-from hilbench.bench.prediction.window import Reading, Window
+from hilbench.bench.prediction.window import Hindsight, Reading, Window
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.web_entering_strain import strains_around
 from hilbench.bench.tasks.web_limits import limited

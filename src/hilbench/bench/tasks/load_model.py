@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.arrays import Vector
+from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.cycle_program import CompiledStage
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
@@ -20,6 +21,7 @@ from hilbench.plant.interface import Follower
 from hilbench.plant.measured_motion import FollowsInStep, HasFollowed, MeasuredMotion
 from hilbench.plant.parameters import EffectEntry
 from hilbench.topology.quantities import EffectPath, is_simple_path, parse_effect_path
+from hilbench.topology.sample import CycleSample
 
 Places = NDArray[np.int64]
 
@@ -132,6 +134,10 @@ class LoadModel:
         """Set an input of the machine, from the present state on. Raises ValueError for an unknown one."""
         self.machine.set_input(name, value)
 
+    def owns(self, path: str) -> bool:
+        """True if a quantity is one of the emulated mechanics."""
+        return path.startswith("load.")
+
     def value(self, path: str) -> float:
         """Present value of a quantity of the emulated mechanics. Raises ValueError for an unknown path."""
         if is_simple_path(path):
@@ -164,3 +170,26 @@ class LoadModel:
 def _parameter(path: str) -> str:
     """Name of the machine's parameter in a path such as ``load.web.youngs_modulus_Pa``: the part after two words."""
     return path.split(".", 2)[2]
+
+
+class LoadTask(CyclicTask):
+    """Task of load motors, by their names; a kind of machine defines in `after` the motion that its model follows."""
+
+    def __init__(self, motors: Sequence[str], model: LoadModel) -> None:
+        self.model = model
+        self._commands = [(motor, f"tau_{motor}_cmd_Nm") for motor in motors]
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """The torques that follow from the last sample, N·m at the load motors' shafts."""
+        for motor, command in self._commands:
+            outputs[motor] = getattr(sample, command)
+
+    def follow(self, sample: CycleSample, positions: Sequence[float], speeds: Sequence[float], *, late: bool) -> None:
+        """Let the model follow the measured motion (N,) of the axes, in the machine's unit; record its torques."""
+        torques_Nm = self.model.update(positions, speeds, late=late)
+        for (_, command), torque_Nm in zip(self._commands, torques_Nm, strict=True):
+            setattr(sample, command, torque_Nm)
+
+    def rest(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Command zero torque."""
+        self.model.stop()

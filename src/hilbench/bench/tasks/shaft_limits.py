@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from hilbench.bench.tasks.limit_check import LimitCheck
-from hilbench.bench.tasks.limits import Limited
+from hilbench.bench.tasks.limits import Limited, LimitWatch
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.safety import LimitsConfig
 
@@ -17,7 +16,7 @@ def limited(limits: LimitsConfig, motor: str) -> list[Limited]:
     ]
 
 
-def limit_watch(config: BenchConfig, motor: str) -> LimitCheck:
+def limit_watch(config: BenchConfig, motor: str) -> LimitWatch:
     """Watches the samples of one run."""
     limits, models = config.safety.limits, {"J_sim_kg_m2": config.servo_axis.inertia_kg_m2}
-    return LimitCheck(limited(limits, motor), "estimate of the inertia over the model's", models, limits.estimate_ratio)
+    return LimitWatch(limited(limits, motor), "estimate of the inertia over the model's", models, limits.estimate_ratio)

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.exchange.exchange import Inputs
@@ -165,3 +165,18 @@ class SensedLoop(StagedTask):
         """All is as at the start when the drives are enabled again."""
         self._reported = False
         self._record(sample)
+
+
+class CycleObserver(Protocol):
+    """Sees a run as it happens: recorder, progress display, an experiment's own code."""
+
+    def sample(self, sample: CycleSample) -> None:
+        """One cycle of the enabled bench; the object is reused, so copy what is kept."""
+
+
+@runtime_checkable
+class CompiledObserver(Protocol):
+    """An observer that need not see a cycle by itself."""
+
+    def compiled_stages(self, sample: CycleSample) -> CompiledStages:
+        """Compiled stages of the observer."""

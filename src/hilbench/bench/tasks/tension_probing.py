@@ -110,7 +110,7 @@ class Probing(CyclicTask):
             self._end(self._known(sample))
         else:
             half = int(2.0 * self._since_s / self._config.period_s)
-            self._loop.set_point_shift_N = self._size_N if half % 2 == 0 else -self._size_N
+            self._loop.shift_set_point(self._size_N if half % 2 == 0 else -self._size_N)
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages:
         """Compiled stages: none, where there are no probes."""
@@ -188,7 +188,7 @@ class Probing(CyclicTask):
 
     def _end(self, why: str) -> None:
         self._since_s, self._rested_s, self._moves = None, 0.0, False
-        self._loop.set_point_shift_N = 0.0
+        self._loop.shift_set_point(0.0)
         if self._at_rest is not None:
             self._at_rest.end()
         self._note(why)

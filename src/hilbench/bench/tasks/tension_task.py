@@ -133,19 +133,10 @@ class TensionTask(AxisTask):
         """Make the compiled stage."""
         self._sample = sample
         names, kind, damping = self.names, type(sample), self._damping
-        signals = {
-            "closed": names.closed,
-            "command": names.command,
-            "tension": names.twin.tension,
-            "modulus": names.twin.modulus,
-            "before": names.before,
-            "behind": names.behind,
-            "age": "twin_age_cycles",
-            "cycle": "cycle",
-        }
-        places = {name: kind.place(signal) for name, signal in signals.items()}
+        of_twin, ends = (names.twin.tension, names.twin.modulus), (names.before, names.behind)
+        at = kind.places([names.closed, names.command, *of_twin, *ends, "twin_age_cycles", "cycle"]).view(cycle.AT)
         if self._trajectories:
-            places |= {"before": cycle.NOWHERE, "behind": cycle.NOWHERE}
+            at["before"] = at["behind"] = cycle.NOWHERE
         arrays = cycle.LoopArrays(
             controller=self._controller,
             damping=damping.vector,
@@ -156,7 +147,7 @@ class TensionTask(AxisTask):
             leader=self.leader.speeds,
             values=sample.reals,
             words=sample.wholes,
-            at=np.array([of_record(cycle.AT, **places)], cycle.AT),
+            at=at,
             trust=self.trust.arrays(kind),
         )
         if self._plan is not None:
@@ -176,18 +167,13 @@ class TensionTask(AxisTask):
         return float(self._at["set_point_N"])
 
     @property
-    def set_point_shift_N(self) -> float:
-        """Set-point shift by a probe."""
-        return float(self._at["shift_N"])
-
-    @set_point_shift_N.setter
-    def set_point_shift_N(self, value: float) -> None:
-        self._at["shift_N"] = value
-
-    @property
     def goal_N(self) -> float:
         """Wanted tension, with a probe's shift."""
-        return self.set_point_N + self.set_point_shift_N
+        return self.set_point_N + float(self._at["shift_N"])
+
+    def shift_set_point(self, by_N: float) -> None:
+        """Shift the set-point by a probe."""
+        self._at["shift_N"] = by_N
 
     @property
     def modulus_Pa(self) -> float:

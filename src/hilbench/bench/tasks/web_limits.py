@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from hilbench.bench.tasks.limit_check import LimitCheck
-from hilbench.bench.tasks.limits import Limited, load_motor_labels
+from hilbench.bench.tasks.limits import Limited, LimitWatch, load_motor_labels
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.safety import LimitsConfig
 from hilbench.topology.signals import Shape
@@ -32,19 +31,17 @@ def limited(limits: LimitsConfig, shape: Shape) -> list[Limited]:
     return [*tensions, *torques, *speeds]
 
 
-class LimitWatch(LimitCheck):
+def limit_watch(limits: LimitsConfig, model: ModelParameters, cycle_s: float, shape: Shape) -> LimitWatch:
     """Watches the samples of one run of a web line. `model`: its E is compared with the estimate."""
-
-    def __init__(self, limits: LimitsConfig, model: ModelParameters, cycle_s: float, shape: Shape) -> None:
-        super().__init__(
-            limited(limits, shape),
-            "estimate of E over the model's",
-            {f"E{shape.numbered(span)}_sim_Pa": model.youngs_modulus_Pa(span) for span in shape.estimated},
-            limits.estimate_ratio,
-            [
-                f"position difference of {f'axes {axis} and {axis + 1}' if shape.axes > 2 else 'the axes'}"
-                for axis in range(1, shape.axes)
-            ],
-            limits.position_difference_m,
-            cycle_s,
-        )
+    return LimitWatch(
+        limited(limits, shape),
+        "estimate of E over the model's",
+        {f"E{shape.numbered(span)}_sim_Pa": model.youngs_modulus_Pa(span) for span in shape.estimated},
+        limits.estimate_ratio,
+        [
+            f"position difference of {f'axes {axis} and {axis + 1}' if shape.axes > 2 else 'the axes'}"
+            for axis in range(1, shape.axes)
+        ],
+        limits.position_difference_m,
+        cycle_s,
+    )
