@@ -253,7 +253,7 @@ def test_the_processes_of_a_run_are_copies_of_it(tmp_path: Path) -> None:
         resolved.read_resolved = read_again
         processes.subprocess = SimpleNamespace(Popen=new_interpreter, TimeoutExpired=subprocess.TimeoutExpired)
         outcome = run_experiment(load_with_overrides(Path({str(path)!r})), folder / "runs")
-        assert outcome.exit_code == 0, outcome.as_json()
+        assert outcome.exit_code == 0, outcome.as_object()
         assert outcome.result.timing.lost_frames == 0  # each has said so at its end
     """,
     )

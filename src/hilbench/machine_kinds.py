@@ -38,7 +38,7 @@ class MachineDescription:
     prediction: str = ""  #: with `look` and `foreseen`, as of `hilbench.bench.prediction.servo_axis`
     diagnosis: str = ""  #: with the names of `hilbench.diagnosis.servo_axis`
     live_diagnosis: str = ""  #: `hilbench.live.machine.LiveMachine`: (config)
-    commissioning: str = ""  #: `hilbench.runs.reach.Reach`: (config, place)
+    commissioning: str = ""  #: `hilbench.runs.commissioning.Reach`: (config, place)
     fmu_export: str = ""  #: `hilbench.plant.fmu.export.machine.ExportedMachine`: (machine, drives=…, load=…)
     #: Kind whose signals its recordings have, if not its own.
     recorded_as: str = ""

@@ -9,7 +9,7 @@ import pytest
 from tests.canopen.device_under_test import HandClock
 from tests.cia402.every_mode import INCREMENTS, eds_file
 
-from hilbench.apps.devices.node import SimulatedNode
+from hilbench.apps.devices.application import SimulatedNode
 from hilbench.apps.devices.simulation import hosted, simulated_axes
 from hilbench.cia402.state_machine import State
 

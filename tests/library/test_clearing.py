@@ -18,7 +18,7 @@ NOW_S = FIRST.timestamp() + 10 * 3600.0
 
 
 def cleared(folder: Path, keep: Keep) -> list[str]:
-    return [goes.run.path for goes in to_clear(Library(folder).runs(), keep, NOW_S)]
+    return [run.path for run, _ in to_clear(Library(folder).runs(), keep, NOW_S)]
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
@@ -86,10 +85,6 @@ class RunOutcome:
             "overridden": {each.key: each.value for each in provenance.overridden} if provenance else {},
             **self.result.model_dump(mode="json"),
         }
-
-    def as_json(self) -> str:
-        """`as_object` as JSON. ASCII, whatever reads it: a character encoded otherwise is not the result any more."""
-        return json.dumps(self.as_object(), indent=2)
 
     def end_if_asked(self, held: HeldSignals) -> None:
         """Set the exit code of an interruption, unless it is that of a fault: a signal came while files were

@@ -7,7 +7,7 @@ torque that the drives have.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,10 +17,16 @@ from hilbench.errors import UnusableInputError
 from hilbench.machine_kinds import machine_part
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig
-from hilbench.runs.reach import GENTLE, HOLD_S, OF_LIMIT, SLOW, STEEP, Reach, highest_of_steps
+from hilbench.runs.scenario import read_scenario
 from hilbench.runs.steps import ExperimentStep
 from hilbench.topology.quantities import SPEED
 
+#: Share of a warning level that is used: a drive overshoots the corner of a ramp by less than a tenth.
+OF_LIMIT: Final = 0.9
+#: Share of a drive's torque that the steep ramps take, and the gentle ones: the rest is for friction and pull of web.
+STEEP, GENTLE = 0.25, 0.1
+#: The slowest level of speed, as a share of the highest, and the time at a level, s.
+SLOW, HOLD_S = 0.15, 4.0
 #: Longest process time of a commissioning, s.
 LONGEST_S: Final = 120.0
 #: Levels of speed above the slow one, as shares of the highest: friction from 1 to 7 of its speeds, and two between
@@ -32,6 +38,28 @@ _SECOND_S, _BETWEEN_S = 3.0, 0.8
 _RAMPS: Final = 3
 #: Top speed of a servo axis without steps that say one, as a share of the level at which its speed warns.
 _OF_A_SHAFT: Final = 0.5
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Range of the plan: highest speed and steepest ramps in the machine's unit of position per s and s²; of each
+    set-point other than the speed its path, the two values, and their unit."""
+
+    path: str
+    unit: str
+    top: float
+    steep: float
+    gentle: float
+    set_points: Sequence[tuple[str, float, float, str]] = ()
+
+
+def highest_of_steps(config: ExperimentConfig, path: str) -> float:
+    """The highest speed that the config's own steps and tables ask for; 0 where none does."""
+    moves = (each for step in config.steps for each in (step.ramp, step.set, step.step) if each is not None)
+    asked = [each.to for each in moves if each.path == path]
+    for table in (read_scenario(step.table.file) for step in config.steps if step.table is not None):
+        asked += [value for moved in (table.ramps, table.jumps) for _, value in moved.get(path, ())]
+    return max(map(abs, asked), default=0.0)
 
 
 @dataclass(frozen=True)

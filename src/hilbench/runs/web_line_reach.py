@@ -7,8 +7,8 @@ from typing import Final
 
 from hilbench.bench.machines.ranges import operator_ranges
 from hilbench.errors import UnusableInputError
+from hilbench.runs.commissioning import GENTLE, HOLD_S, OF_LIMIT, SLOW, STEEP, Reach, highest_of_steps
 from hilbench.runs.config import ExperimentConfig
-from hilbench.runs.reach import GENTLE, HOLD_S, OF_LIMIT, SLOW, STEEP, Reach, highest_of_steps
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.web_line_quantities import tension_set_point
 

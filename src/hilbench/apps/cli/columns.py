@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 from hilbench.did_you_mean import closest
-from hilbench.results.recording import Recording
+from hilbench.results.recording import Recording, check_recording, read_section
 from hilbench.topology.signals import example_names, unit_of
 
 
@@ -17,11 +17,18 @@ def report(path: Path, text: str) -> None:
     typer.echo(f"hilbench: {path}: {text}", err=True)
 
 
-def report_section(recording: Recording, path: Path) -> None:
-    """Say which part of a recording that is too long is used."""
+def reported_section(path: Path, *, checked: bool = False) -> Recording:
+    """Read a recording (`read_section`, and `check_recording`); say which part of one that is too long is used.
+
+    Raises UnusableInputError.
+    """
+    recording = read_section(path)
+    if checked:
+        check_recording(recording, path)
     if recording.is_reduced:
         first_s, last_s = recording.time_s[[0, -1]]
         report(path, f"{len(recording)} of its {recording.samples} samples are used, {first_s:g} to {last_s:g} s")
+    return recording
 
 
 def report_unknown(names: Collection[str], path: Path) -> None:

@@ -65,10 +65,10 @@ def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: b
 def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     import numpy as np
 
-    from hilbench.apps.cli.columns import report_section
+    from hilbench.apps.cli.columns import reported_section
     from hilbench.machine_kinds import description
     from hilbench.results.journal import read_journal
-    from hilbench.results.recording import Recording, read_section, write_recording
+    from hilbench.results.recording import Recording, write_recording
     from hilbench.results.run_folder import RunFolder
     from hilbench.runs.config import load
     from hilbench.runs.events import journal_events
@@ -76,8 +76,7 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
 
     folder: RunFolder = RunFolder.open(run)
     config, _ = load(folder.config)
-    recording = read_section(folder.recording)
-    report_section(recording, folder.recording)
+    recording = reported_section(folder.recording)
     kind = description(config.machine.kind).recorded_as or config.machine.kind
     if kind not in _OF_KIND:
         raise UnusableInputError(folder.config, f"machine of kind {kind}, expected one of {', '.join(_OF_KIND)}")

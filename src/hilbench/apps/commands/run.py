@@ -14,6 +14,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from hilbench.apps.cli.options import print_json
 from hilbench.apps.cli.progress import RunObserver
 from hilbench.apps.cli.tables import table
 from hilbench.apps.report.panel import panels_of
@@ -86,7 +87,7 @@ def run_command(
         outcome.exit_code = outcome.exit_code or EXIT_CRITERION_FAILED
         print("hilbench: nothing was judged, expected at least one criterion (--require-criteria)", file=sys.stderr)
     if as_json:
-        print(outcome.as_json())
+        print_json(outcome.as_object())  # ASCII, whatever reads it
     return outcome.exit_code
 
 

@@ -25,24 +25,20 @@ class Entry:
     """One value of the device as its EDS file has it."""
 
     variable: ODVariable
+    index: int
+    sub: int
+    access: str  #: ro, const, wo, rw, rwr or rww
+    kind: DataType
     flags: int
 
-    @property
-    def index(self) -> int:
-        return int(self.variable.index)
-
-    @property
-    def sub(self) -> int:
-        return int(self.variable.subindex)
+    @classmethod
+    def of(cls, v: ODVariable, flags: int) -> Entry:
+        """Entry of a value in an object dictionary."""
+        return cls(v, v.index, v.subindex, v.access_type, data_type(v.data_type or 0), flags)
 
     @property
     def key(self) -> tuple[int, int]:
         return self.index, self.sub
-
-    @property
-    def access(self) -> str:
-        """ro, const, wo, rw, rwr or rww."""
-        return str(self.variable.access_type)
 
     @property
     def writable(self) -> bool:
@@ -57,20 +53,6 @@ class Entry:
     def constant(self) -> bool:
         """Writes are to be refused."""
         return self.access in ("ro", "const")
-
-    @property
-    def kind(self) -> DataType:
-        """Data type."""
-        return data_type(self.variable.data_type or 0)
-
-    @property
-    def width(self) -> int | None:
-        """Bytes of its SDO data; None: as many as there are."""
-        return self.kind.width
-
-    @property
-    def is_integer(self) -> bool:
-        return self.kind.is_integer
 
     @property
     def default(self) -> bytes | None:
@@ -114,7 +96,7 @@ class Pdo:
     @property
     def size(self) -> int:
         """Bytes of its data."""
-        return self.carries.width or 1
+        return self.carries.kind.width or 1
 
 
 class Description:
@@ -124,7 +106,7 @@ class Description:
         self.path = path
         self.od = load_eds(path, node_id)
         flags = object_flags(path)
-        found = [Entry(v, flags.get((v.index, v.subindex), 0)) for v in all_variables(self.od)]
+        found = [Entry.of(v, flags.get((v.index, v.subindex), 0)) for v in all_variables(self.od)]
         self._entries = {entry.key: entry for entry in found}
         self.dummies = [index for index in self.od.indices if index < _DUMMIES]
         #: The drives of the node, and which of them cases are about: what they name is its own then.

@@ -47,7 +47,7 @@ class DeviceUnderTest:
     `motion`, `store`: permissions beyond communication; `boot_s`: longest time from a reset to the boot-up message.
     """
 
-    #: PDO of the present case, once it has chosen one (`process_data.transmit_pdo`, `receive_pdo`).
+    #: PDO of the present case, once it has chosen one (`pdo_cases.transmit_pdo`, `receive_pdo`).
     pdo: Pdo
 
     def __init__(
@@ -281,7 +281,7 @@ class DeviceUnderTest:
 
     def data_of(self, index: int, sub: int, value: int) -> bytes:
         """SDO data of a number, in the length of the EDS file."""
-        width = (self.eds.entry(index, sub).width or 4) if self.eds.has(index, sub) else 4
+        width = (self.eds.entry(index, sub).kind.width or 4) if self.eds.has(index, sub) else 4
         return (value & ((1 << 8 * width) - 1)).to_bytes(width, "little")
 
     def write(self, index: int, sub: int, value: int) -> None:

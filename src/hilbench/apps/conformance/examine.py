@@ -14,8 +14,8 @@ from typing import Final
 
 from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text
 from hilbench.apps.conformance.listing import ListedCase, listed_cases
+from hilbench.apps.conformance.pdo_cases import RPDO, TPDO
 from hilbench.apps.conformance.power import at_rest, shown_state
-from hilbench.apps.conformance.process_data import RPDO, TPDO
 from hilbench.apps.conformance.record import (
     Case,
     CaseEndedError,

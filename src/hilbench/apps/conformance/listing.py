@@ -16,7 +16,6 @@ from hilbench.apps.conformance import (
     od_cases,
     pdo_cases,
     power,
-    process_data,
     sdo_cases,
     service_cases,
     steps,
@@ -27,7 +26,7 @@ from hilbench.apps.conformance.record import Case, NotApplicableError
 from hilbench.block import Strict
 from hilbench.strict_yaml import load, validate
 
-register(power, process_data, steps, sdo_cases, pdo_cases, od_cases, service_cases, drive_cases)
+register(power, steps, sdo_cases, pdo_cases, od_cases, service_cases, drive_cases)
 
 _FOLDER: Final = Path(__file__).parent / "cases"
 #: The files in the order in which their cases are examined.

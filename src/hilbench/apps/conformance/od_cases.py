@@ -76,12 +76,12 @@ def access(dut: DeviceUnderTest, area: _Area) -> None:
 
 def _access(dut: DeviceUnderTest, entry: Entry) -> None:
     data = dut.peek(*entry.key)
-    may_be_empty = (entry.index == _ERROR_HISTORY and entry.sub) or (entry.width is None and not entry.default)
+    may_be_empty = (entry.index == _ERROR_HISTORY and entry.sub) or (entry.kind.width is None and not entry.default)
     if may_be_empty and isinstance(data, Refusal):
         dut.check(f"read {entry}", "data, or no data available", str(data), data.code in _NO_VALUE_NOW)
         return
     text = answer_text(data)
-    width = entry.width
+    width = entry.kind.width
     ok = isinstance(data, bytes) and (width is None or len(data) == width)
     if dut.check(f"read {entry}", "data" if width is None else f"{width} bytes", text, ok):
         assert isinstance(data, bytes)
@@ -146,7 +146,7 @@ def read_only(dut: DeviceUnderTest) -> None:
     for entry in found:
         data = dut.peek(*entry.key)
         if not isinstance(data, bytes) or not data:
-            data = bytes(entry.width or 4)
+            data = bytes(entry.kind.width or 4)
         if len(data) <= 4:
             dut.refuses(f"write {entry}", entry.index, entry.sub, data, READ_ONLY)
         else:
@@ -184,7 +184,7 @@ def limits(dut: DeviceUnderTest) -> None:
     """A value beyond a limit of the file is refused."""
     examined = 0
     for entry in dut.eds.entries():
-        if not entry.writable or not entry.is_integer or not _may_write_back(dut, entry, b"\0"):
+        if not entry.writable or not entry.kind.is_integer or not _may_write_back(dut, entry, b"\0"):
             continue
         for value, code in ((entry.beyond("min"), VALUE_TOO_LOW), (entry.beyond("max"), VALUE_TOO_HIGH)):
             if value is not None:

@@ -37,7 +37,9 @@ def wrong_length(dut: DeviceUnderTest, widths: list[int], length: int, code: Abo
     """Write `length` bytes into objects of other lengths."""
     areas = (0x1003, 0x1005, 0x1006, 0x1015, 0x1017, 0x1019)
     found = [
-        dut.eds.entry(index) for index in areas if dut.eds.can_write(index) and dut.eds.entry(index).width in widths
+        dut.eds.entry(index)
+        for index in areas
+        if dut.eds.can_write(index) and dut.eds.entry(index).kind.width in widths
     ]
     for entry in some(found, "no object of 1000h to 1FFFh of such a length can be written by the EDS file"):
         dut.refuses(
@@ -50,7 +52,7 @@ def beyond_limit(dut: DeviceUnderTest, limit: Literal["min", "max"], code: Abort
     known = {key: value for key, value in known.items() if dut.eds.can_write(*key)}
     for (index, sub), value in known.items():
         dut.refuses(f"{value} to {index:04X}h:{sub}", index, sub, dut.data_of(index, sub, value), code, INVALID_VALUE)
-    found = ((e, e.beyond(limit)) for e in dut.eds.entries(0x1000) if e.writable and e.is_integer)
+    found = ((e, e.beyond(limit)) for e in dut.eds.entries(0x1000) if e.writable and e.kind.is_integer)
     entry, beyond = next((each for each in found if each[1] is not None), (None, None))
     if entry is not None and beyond is not None:
         data = dut.data_of(*entry.key, beyond)
@@ -63,7 +65,12 @@ def _long_text(dut: DeviceUnderTest) -> tuple[int, bytes]:
     """An object of more than four bytes, and its data."""
     for index in (*_STRINGS, *sorted(dut.eds.od.indices)):
         entry = dut.eds.entry(index) if dut.eds.has(index) else None
-        if entry is not None and index >= 0x1000 and entry.readable and (entry.width is None or entry.width > 4):
+        if (
+            entry is not None
+            and index >= 0x1000
+            and entry.readable
+            and (entry.kind.width is None or entry.kind.width > 4)
+        ):
             data = dut.peek(index, 0)
             if isinstance(data, bytes) and len(data) > 4:
                 return index, data

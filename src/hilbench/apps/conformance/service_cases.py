@@ -8,7 +8,7 @@ from typing import Final
 
 from hilbench.apps.conformance.actions import Key
 from hilbench.apps.conformance.dut import DeviceUnderTest, answer_text
-from hilbench.apps.conformance.process_data import receive_pdo, set_up, transmit_pdo
+from hilbench.apps.conformance.pdo_cases import receive_pdo, set_up, transmit_pdo
 from hilbench.apps.conformance.record import CaseEndedError, NotAllowedError, NotApplicableError, some
 from hilbench.apps.conformance.wire import periods, steady
 from hilbench.can.frame import REMOTE_FLAG, Frame
@@ -34,11 +34,6 @@ from hilbench.canopen.object_store import (
 from hilbench.canopen.sdo_client import Refusal
 
 _AFTER_COMMAND_S: Final = 0.05
-_STATES: Final = {
-    NmtCommand.START: NmtState.OPERATIONAL,
-    NmtCommand.STOP: NmtState.STOPPED,
-    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
-}
 _TOO_SHORT: Final = "10 82"
 _SOON_S: Final = 0.1
 _PRODUCED_US: Final = 100_000
@@ -82,26 +77,6 @@ def no_sdo(dut: DeviceUnderTest) -> None:
     """Expect that SDO is not answered."""
     answer = dut.exchange(bytes.fromhex("4000100000000000"))
     dut.check("read 1000h:0", "no answer", "no answer" if answer is None else answer.hex(" "), answer is None)
-
-
-def resets_from_every_state(dut: DeviceUnderTest) -> None:
-    """Each with the boot-up message."""
-    for before in _STATES:
-        for command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
-            dut.nmt(before)
-            dut.reset(command)
-            dut.produce_heartbeats()
-            dut.shows(NmtState.PRE_OPERATIONAL)
-
-
-def service(dut: DeviceUnderTest, command: NmtCommand) -> None:
-    """Command from each of the other states."""
-    dut.produce_heartbeats()
-    for before in _STATES:
-        if before is not command:
-            dut.nmt(before)
-            dut.nmt(command)
-            dut.shows(_STATES[command])
 
 
 def commands_without_effect(dut: DeviceUnderTest) -> None:

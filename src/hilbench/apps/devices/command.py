@@ -12,8 +12,8 @@ from typer import Argument, Option
 from hilbench.errors import UnusableInputError
 
 if TYPE_CHECKING:
+    from hilbench.apps.devices.application import SimulatedNode
     from hilbench.apps.devices.behaviour import Behaviour
-    from hilbench.apps.devices.node import SimulatedNode
 
 _LOOK_S: Final = 0.05
 

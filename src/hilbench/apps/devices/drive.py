@@ -12,8 +12,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self, TypeVar
 
+from hilbench.apps.devices.application import NodeIdGiven, SimulatedNode, await_node_id, lss_address
 from hilbench.apps.devices.behaviour import OF_AN_AXIS, Behaviour, Emergency, Event, load_behaviour
-from hilbench.apps.devices.node import NodeIdGiven, SimulatedNode, await_node_id, lss_address
 from hilbench.apps.devices.simulation import hosted, new_clock, simulated_axes
 from hilbench.can.adapter import PythonCanLink
 from hilbench.can.link import Link
@@ -201,7 +201,7 @@ class SimulatedDrive:
     def _cause(self, **what: object) -> None:
         event = Event.model_validate({"at_s": 0.0, **what})
         place = self._nodes.index(self._node) if what.keys() & OF_AN_AXIS else 0
-        self._do(lambda: self._application.faulty(place).cause(event))
+        self._do(lambda: self._application.faulty[place].cause(event))
 
     def _do(self, what: Callable[[], Result]) -> Result:
         """Do it on the host's thread, between two cycles, and wait for it."""

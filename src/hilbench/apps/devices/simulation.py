@@ -8,9 +8,8 @@ from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hilbench.apps.devices.application import CYCLE_S, SAMPLE_S, DrivesApplication
+from hilbench.apps.devices.application import CYCLE_S, SAMPLE_S, SERIAL_NUMBER, DrivesApplication, SimulatedNode
 from hilbench.apps.devices.behaviour import Behaviour, RefusedWrite
-from hilbench.apps.devices.node import SERIAL_NUMBER, SimulatedNode
 from hilbench.canopen.clock import Clock, MonotonicClock
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.device import Device

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hilbench.apps.cli.columns import report_section, report_unknown
+from hilbench.apps.cli.columns import report_unknown, reported_section
 from hilbench.apps.cli.model_option import any_model_from, config_from
 from hilbench.apps.cli.options import print_json
 from hilbench.apps.cli.progress import ProgressDisplay
@@ -186,8 +186,7 @@ def in_a_recording(source: Path, model_path: Path | None, progress: ProgressDisp
 
 
 def _section_of(source: Path) -> Recording:
-    recording = read_section(source)
-    report_section(recording, source)
+    recording = reported_section(source)
     report_unknown(recording.channels, source)
     return recording
 

@@ -405,28 +405,27 @@ def gc(
         keep_labelled,
     )
     known = _library(runs).runs()
-    deletions = to_clear(known, keep, time.time())
+    deletions = [(runs / run.path, why, run) for run, why in to_clear(known, keep, time.time())]
     if json:
         if not dry_run and not yes and deletions:
             raise UnusableInputError("--yes", "missing, expected with --json, or --dry-run")
-        left = {} if dry_run else delete_all([runs / each.run.path for each in deletions])
-        deletions = [each for each in deletions if runs / each.run.path not in left]
-        freed = sum(each.run.size_bytes for each in deletions)
-        rows = [{"run": each.run.path, "why": each.why, "size_bytes": each.run.size_bytes} for each in deletions]
-        kept = len(known) - len(deletions)
+        left = {} if dry_run else delete_all([path for path, _, _ in deletions])
+        gone = [(why, run) for path, why, run in deletions if path not in left]
+        freed, kept = sum(run.size_bytes for _, run in gone), len(known) - len(gone)
+        rows = [{"run": run.path, "why": why, "size_bytes": run.size_bytes} for why, run in gone]
         print_json({"deleted": not dry_run, "freed_bytes": freed, "kept": kept, "runs": rows})
         if left:
             raise UnusableInputError.of([*left.values()])
         return
-    freed = sum(each.run.size_bytes for each in deletions)
+    freed = sum(run.size_bytes for _, _, run in deletions)
     size = f"{_count(len(deletions))}, {freed / 1e6:.1f} MB; {len(known) - len(deletions)} stay"
     if dry_run:
-        for each in deletions:
-            typer.echo(f"{runs / each.run.path}  {each.why}")
+        for path, why, _ in deletions:
+            typer.echo(f"{path}  {why}")
         print(f"would go: {size}")
         return
     typer.echo(f"to go: {size}", err=True)
-    _delete([(runs / each.run.path, each.why) for each in deletions], yes=yes)
+    _delete([(path, why) for path, why, _ in deletions], yes=yes)
 
 
 def _bytes(text: str) -> int:

@@ -30,26 +30,18 @@ class Keep:
     labelled: bool = True
 
 
-@dataclass(frozen=True)
-class Goes:
-    """A run that goes, and why."""
-
-    run: RunEntry
-    why: str
-
-
-def to_clear(runs: Sequence[RunEntry], keep: Keep, now_s: float) -> list[Goes]:
-    """Runs of a library to be cleared, the oldest first."""
+def to_clear(runs: Sequence[RunEntry], keep: Keep, now_s: float) -> list[tuple[RunEntry, str]]:
+    """Runs of a library to be cleared, the oldest first, each with the reason."""
     newest_first = sorted(runs, key=lambda run: (run.began_s, run.path), reverse=True)
     of_bench: dict[str, int] = {}
-    goes: list[Goes] = []
+    goes: list[tuple[RunEntry, str]] = []
     kept_bytes = 0
     for run in newest_first:
         of_bench[run.bench] = number = of_bench.get(run.bench, 0) + 1
         why = _why(run, keep, now_s, kept_bytes)
         stays = number <= keep.last or (keep.labelled and (run.tags or run.notes)) or run.state == "running"
         if why and not stays:
-            goes.append(Goes(run, why))
+            goes.append((run, why))
         else:
             kept_bytes += run.size_bytes
     return goes[::-1]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from hilbench.apps.cli.columns import report, report_section, report_unknown
+from hilbench.apps.cli.columns import report, report_unknown, reported_section
 from hilbench.apps.cli.model_option import model_from, web_line_of
 from hilbench.apps.cli.options import print_json
 from hilbench.apps.cli.tables import table
@@ -33,7 +33,7 @@ from hilbench.apps.sweep.sweep import Row, Sweep
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError, UnusableInputError
 from hilbench.estimation.web_line.offline import remarks
 from hilbench.files import make_folder
-from hilbench.results.recording import Recording, check_recording, read_recording, read_section, write_recording
+from hilbench.results.recording import read_recording, write_recording
 from hilbench.results.run_folder import RunFolder
 from hilbench.results.web_line_synchronization import (
     INTERVAL,
@@ -195,13 +195,6 @@ def sync_runs_command(config_path: Path, methods: str, out: Path | None, jobs: i
     _show(comparison, write_comparison(comparison, f"Synchronizers on {config_path.name}", folder), as_json)
 
 
-def _section(path: Path) -> Recording:
-    recording = read_section(path)
-    check_recording(recording, path)
-    report_section(recording, path)
-    return recording
-
-
 def sync_command(
     recording_path: Path,
     model_path: Path,
@@ -213,7 +206,7 @@ def sync_command(
 ) -> None:
     """Compare, print, and write page and estimates into `out`. Raises UnusableInputError for what can't be used."""
     chosen = methods_of(methods)
-    model, recording = web_line_of(model_from(model_path), model_path), _section(recording_path)
+    model, recording = web_line_of(model_from(model_path), model_path), reported_section(recording_path, checked=True)
     report_unknown(recording.channels, recording_path)
     require_one_span(model, model_path)
     data = measurements_of(recording, recording_path)

@@ -169,17 +169,9 @@ def _as_object(answer: Answer) -> dict[str, Any]:
         "times_s": outlook.times_s.tolist(),
         "courses": courses,
         "crossings": [
-            {
-                "signal": each.watched.signal,
-                "quantity": each.watched.name,
-                "level": each.level,
-                "limit": each.limit,
-                "unit": each.watched.unit,
-                "probability": each.probability,
-                "expected_s": each.expected_s,
-                "earliest_s": each.earliest_s,
-                "latest_s": each.latest_s,
-            }
+            {"signal": each.watched.signal, "quantity": each.watched.name, "level": each.level, "limit": each.limit}
+            | {"unit": each.watched.unit, "probability": each.probability}
+            | {name: getattr(each, name) for name in ("expected_s", "earliest_s", "latest_s")}
             for each in outlook.crossings()
         ],
     }
