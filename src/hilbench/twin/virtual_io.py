@@ -80,8 +80,8 @@ class VirtualIo:
         if self._effects is None or self._step is None:
             return
         self._effects.on_write = act
-        tensions = [place for place, name in enumerate(self._names) if name.startswith("F")]
-        self._step.on_read = lambda: max((steps()[place] for place in tensions if steps()), default=0.0)
+        forces = [place for place, name in enumerate(self._names) if name.startswith("F")]
+        self._step.on_read = lambda: max((steps()[place] for place in forces if steps()), default=0.0)
 
     def on_found(self, report: Callable[[], str]) -> None:
         """Set the source of the estimated model errors (2103h)."""
