@@ -79,13 +79,13 @@ FILTER = np.dtype(
         ("wobble", "f8", (4,)),
         # Tension at the reference E: of the block before; means over the blocks before the last, and over more of them;
         # what regressors are formed with; its usual value, and mean square deviations from it and from `lagged_N`; time
-        # since it was in transition, and over which regressors are averaged.
+        # since it was in transition, and left in which regressors are means since a jump of E.
         *record_type("web_before_N", "lagged_N", "mean_N", "regressor_N", "usual_web_N", "web_change_N2").descr,
         *record_type("lag_change_N2", "settled_s", "anew_s", "beyond_N").descr,
         # Share of the last block at rest; whether all states are estimated; how long the speed still counts as
         # changing, and the speed while it does not; time until the next evaluation of the evidence.
         *record_type("at_rest", "excited", "speeds_up_s", "steady_m_s", "evidence_s").descr,
-        # Innovations: their square over what is expected; time since E has jumped.
+        # Innovations: mean square over the expected; time since E jumped; whether at steady speed; time left to settle.
         *record_type("excess", "surprised", "leaning", "jumped_s", "was_steady", "settling_s").descr,
         # E that strains are turned into forces with; stated E, its lags, its variance.
         *record_type("modulus", "stated", "soon_before", "before", "unrest_N2", "stated_jumped").descr,
