@@ -49,6 +49,9 @@ from hilbench.twin.process import twin
 from hilbench.twin.run import fast_path_host as twins_plain_host
 from hilbench.twin.setup import twin_setup
 
+#: Errors after which SYNC goes on without waiting for every drive: how far the drives come until they are at rest
+#: depends on who is faster, interpreted, too. `tests/in_process_cycle` has them in one process.
+STOPPED_UNFOLLOWED = ("NoAnswerError", "EmergencyStopError")
 #: Until what somebody has sent is answered, and the answer is there.
 A_MOMENT_S = 0.05
 
@@ -155,7 +158,8 @@ def check(folder: Path, options: Sequence[str], changes: Sequence[tuple[int, Cha
         assert left.samples == reference.samples
         assert left.notices == reference.notices
         assert left.trace == reference.trace
-        assert left.objects == reference.objects
+        if not reference.ending.startswith(STOPPED_UNFOLLOWED):
+            assert left.objects == reference.objects
     return chained
 
 
