@@ -29,7 +29,7 @@ SERVO = {
     "Jm": {"coulomb_friction", "viscous_friction", "torque_offset", "inertia_mismatch", "torque_ripple"},
     "Bm": {"coulomb_friction", "viscous_friction", "torque_offset", "inertia_mismatch", "torque_ripple"},
     "Fc": {"coulomb_friction", "torque_offset", "inertia_mismatch", "torque_ripple"},
-    "Fs": {"inertia_mismatch"},
+    "Fs": {"inertia_mismatch", "torque_ripple"},
 }
 
 
@@ -270,6 +270,10 @@ def test_a_real_servo_axis_has_its_friction_in_every_repeat(kind: str, repeat: i
     assert names(found) == SERVO[kind]
     assert neutral_in_an_interval(found) == []
     assert found.verdict == ("unknown" if kind == "Fs" else "named")
+    # One motor: whatever is fed forward, its ripple is as large in every recording, within the intervals stated (12 %).
+    of_motor = [item.parameters for item in found.effects if item.effect == "torque_ripple"]
+    (first_order,) = (each["amplitude_Nm"].value for each in of_motor if each["order"].value == 5.0)
+    assert first_order == pytest.approx(1.41e-3, rel=0.1)
 
 
 @pytest.mark.parametrize("kind", ["Bm", *slow("Fc")])
