@@ -277,7 +277,7 @@ def test_five_rollers_have_more_tpdos_than_a_node_has_identifiers_and_each_has_a
     nodes = Nodes(five)
     cob_ids = [pdo.cob_id for pdo in nodes.io.all]
     assert len(set(cob_ids)) == len(cob_ids) == 6
-    assert [number for number, _ in nodes.io.tpdos] == [1, 2, 3, 4, 5]
+    assert [pdo.name for pdo in nodes.io.tpdos] == [f"TPDO{k}" for k in range(1, 6)]
     text = pdo_set_dbc(five)
     assert text.count("BO_ ") == len({line for line in text.splitlines() if line.startswith("BO_ ")})
     assert "virtual_io_TPDO5" in text

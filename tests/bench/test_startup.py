@@ -72,25 +72,25 @@ def test_nodes_are_configured_beside_each_other(tmp_path: Path, monkeypatch: pyt
         for together in [threading.Barrier(len(each))]
         for node_id in each
     }
-    write, begun = Master.write_rpdo, set[int]()
+    write, begun = Master.write_pdo, set[int]()
 
-    def write_once_all_are_there(master: Master, node_id: int, number: int, pdo: PdoMap) -> None:
+    def write_once_all_are_there(master: Master, node_id: int, pdo: PdoMap) -> None:
         if node_id not in begun:
             begun.add(node_id)
             met[node_id].wait(10.0)
-        write(master, node_id, number, pdo)
+        write(master, node_id, pdo)
 
-    monkeypatch.setattr(Master, "write_rpdo", write_once_all_are_there)
+    monkeypatch.setattr(Master, "write_pdo", write_once_all_are_there)
     with Bench(bench) as running:
         running.run(0.1)
     assert begun == ids
 
 
 def test_the_first_node_that_fails_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(master: Master, node_id: int, number: int, pdo: PdoMap) -> None:
+    def refuse(master: Master, node_id: int, pdo: PdoMap) -> None:
         raise BenchFaultError(f"node {node_id} refuses")
 
-    monkeypatch.setattr(Master, "write_rpdo", refuse)
+    monkeypatch.setattr(Master, "write_pdo", refuse)
     with pytest.raises(BenchFaultError, match="node 1 refuses"), Bench(load_with_overrides(config(tmp_path)).config):
         pass
 

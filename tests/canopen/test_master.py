@@ -95,8 +95,8 @@ def test_boot_configure_and_identity(rig: Rig, master: Master) -> None:
 def test_pdo_map_is_written_and_read_back(rig: Rig, master: Master) -> None:
     rig.start()
     master.wait_for_boot([NODE], 5.0)
-    pdo = PdoMap.from_names(rig.od, 0x1A5, 2, ["torque_actual_value", "position_actual_value"])
-    master.write_tpdo(NODE, 1, pdo)
+    pdo = PdoMap.from_names(rig.od, 0x1A5, 2, ["torque_actual_value", "position_actual_value"], 0x1800)
+    master.write_pdo(NODE, pdo)
     assert master.sdo_read(NODE, 0x1800, 1) & 0x7FF == 0x1A5
     assert master.sdo_read(NODE, 0x1800, 2) == 2
     assert [master.sdo_read(NODE, 0x1A00, sub) for sub in (0, 1, 2)] == [2, 0x60770010, 0x60640020]
@@ -121,15 +121,15 @@ def test_pdos_of_a_device_with_read_only_cob_ids_are_mapped_and_loaded(fixed_rig
         master.add(NODE, fixed_rig.od, "axis 1")
         master.wait_for_boot([NODE], 5.0)
         before = settings(read_device(master, NODE, fixed_rig.od))
-        master.write_rpdo(NODE, 1, PdoMap.from_names(fixed_rig.od, 0x200 + NODE, 1, [0x6040, 0x6071]))
-        master.write_tpdo(NODE, 1, PdoMap.from_names(fixed_rig.od, 0x180 + NODE, 1, [0x6041]))
+        master.write_pdo(NODE, PdoMap.from_names(fixed_rig.od, 0x200 + NODE, 1, [0x6040, 0x6071], 0x1400))
+        master.write_pdo(NODE, PdoMap.from_names(fixed_rig.od, 0x180 + NODE, 1, [0x6041], 0x1800))
         assert [cell.variable.index for cell in fixed_rig.device.synchronous_pdos[0].cells] == [0x6041]
         master.disable_pdo(NODE, 0x1801)
         assert fixed_rig.device.cell(0x1A01).value == 0
         assert write_device(master, NODE, before) == {}
         assert [fixed_rig.device.cell(0x1A00, sub).value for sub in range(3)] == [2, 0x60410010, 0x60640020]
         with pytest.raises(BenchFaultError, match=r"1400h reads back COB-ID 205h, .* expected 305h, 1"):
-            master.write_rpdo(NODE, 1, PdoMap.from_names(fixed_rig.od, 0x300 + NODE, 1, [0x6040]))
+            master.write_pdo(NODE, PdoMap.from_names(fixed_rig.od, 0x300 + NODE, 1, [0x6040], 0x1400))
     finally:
         master.close()
 
@@ -138,7 +138,7 @@ def test_pdo_that_reads_back_otherwise_is_a_fault(rig: Rig, master: Master) -> N
     rig.device.cell(0x1800, 2).on_read = lambda: 9  # a device that has a will of its own
     rig.start()
     with pytest.raises(BenchFaultError, match=r"1800h reads back .* type 9, expected 1A5h, 2"):
-        master.write_tpdo(NODE, 1, PdoMap.from_names(rig.od, 0x1A5, 2, ["torque_actual_value"]))
+        master.write_pdo(NODE, PdoMap.from_names(rig.od, 0x1A5, 2, ["torque_actual_value"], 0x1800))
 
 
 @pytest.mark.parametrize(

@@ -39,8 +39,8 @@ class Loop:
         if not self.answering:
             return {}
         return {
-            pdo.cob_id: pdo.pack([self.slave.read(index) for index in indices])
-            for _, pdo, indices in self.drive.pdos.tpdos
+            pdo.cob_id: pdo.pack([self.slave.read(each.index) for each in pdo.variables])
+            for pdo in self.drive.pdos.tpdos
         }
 
     def cycle(self, count: int = 1) -> None:

@@ -146,7 +146,7 @@ def csv(name: str, node_id: int, **changes: object) -> Drive:
 
 def run_cycles(link: Link, drive: Drive, count: int) -> None:
     """SYNC, all TPDOs, decode, RPDO."""
-    expected = {pdo.cob_id for _, pdo, _ in drive.pdos.tpdos}
+    expected = {pdo.cob_id for pdo in drive.pdos.tpdos}
     for _ in range(count):
         link.send([Frame(0x80, b"")])
         frames: dict[int, bytes] = {}

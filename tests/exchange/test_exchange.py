@@ -48,8 +48,9 @@ class Answering:
     def _answers(self) -> list[Frame]:
         answers = []
         for drive in self._nodes.drives:
-            for _, pdo, indices in drive.pdos.tpdos:
-                answers.append(Frame(pdo.cob_id, pdo.pack([self.statusword if i == 0x6041 else 7 for i in indices])))
+            for pdo in drive.pdos.tpdos:
+                values = [self.statusword if each.index == 0x6041 else 7 for each in pdo.variables]
+                answers.append(Frame(pdo.cob_id, pdo.pack(values)))
         io = self._nodes.io
         return [*answers, *(Frame(pdo.cob_id, bytes(pdo.size)) for pdo in (*io.sent, io.status))]
 

@@ -111,7 +111,7 @@ def test_each_estimate_has_pdos_of_its_own() -> None:
     assert [tuple(signal.name for signal in pdo.signals) for pdo in nodes.io.data.sent] == [
         names for k in SPANS for names in ((f"F{k}_sim_N", f"E{k}_sim_Pa"), (f"E{k}_sd_Pa", f"tau{k + 1}_residual_Nm"))
     ]
-    assert [number for number, _ in nodes.io.tpdos] == [1, 2, 3, 4, 5, 6, 7]
+    assert [pdo.name for pdo in nodes.io.tpdos] == [f"TPDO{k}" for k in range(1, 8)]
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ class _Nothing(IoMaps):
     """Of a virtual I/O that says nothing, and is told nothing."""
 
     @property
-    def tpdos(self) -> list[tuple[int, PdoMap]]:
+    def tpdos(self) -> list[PdoMap]:
         """None."""
         return []
 

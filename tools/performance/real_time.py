@@ -23,7 +23,6 @@ from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.identifiers import SYNC, NmtCommand
 from hilbench.canopen.master import Master
 from hilbench.canopen.object_store import ObjectStore
-from hilbench.cia402.configuration import TPDO_COMMUNICATION
 from hilbench.cia402.drive import DriveGoal
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Exchange
@@ -182,9 +181,9 @@ def _start_drives(
         master.wait_for_boot(ids, config.master.boot_timeout_s, child.check)
         for drive in nodes.drives:
             drive.configure(master)
-            for number, pdo, _ in drive.pdos.tpdos:
+            for pdo in drive.pdos.tpdos:
                 if pdo.cob_id not in tpdos:
-                    master.disable_pdo(drive.settings.node_id, TPDO_COMMUNICATION + number - 1)
+                    master.disable_pdo(drive.settings.node_id, pdo.communication)
         for node_id in ids:
             master.nmt(NmtCommand.START, node_id)
             master.read(node_id, 0x1000)  # answered once it has started

@@ -176,14 +176,6 @@ class Master(SdoClient):
 
     # -- PDOs --------------------------------------------------------------------------------------------
 
-    def write_rpdo(self, node_id: int, number: int, pdo: PdoMap) -> None:
-        """Give a node's RPDO its COB-ID, transmission type and map; read back and check."""
-        self._write_pdo(node_id, 0x1400 + number - 1, 0x1600 + number - 1, pdo)
-
-    def write_tpdo(self, node_id: int, number: int, pdo: PdoMap) -> None:
-        """Give a node's TPDO its COB-ID, transmission type and map; read back and check."""
-        self._write_pdo(node_id, 0x1800 + number - 1, 0x1A00 + number - 1, pdo)
-
     def disable_pdo(self, node_id: int, communication_index: int) -> None:
         """Make a PDO invalid (bit 31 of its COB-ID); one whose COB-ID is read-only carries nothing."""
         if self._variable(node_id, communication_index, 1).writable:
@@ -197,8 +189,12 @@ class Master(SdoClient):
         if self._variable(node_id, index, sub).writable:
             self.sdo_write(node_id, index, value, sub)
 
-    def _write_pdo(self, node_id: int, communication: int, mapping: int, pdo: PdoMap) -> None:
-        """The procedure of CiA 301: PDO invalid, number 0, entries, number, valid."""
+    def write_pdo(self, node_id: int, pdo: PdoMap) -> None:
+        """Give a node's PDO its COB-ID, transmission type and map; read back and check.
+
+        The procedure of CiA 301: PDO invalid, number 0, entries, number, valid.
+        """
+        communication, mapping = pdo.communication, pdo.communication + MAPPING
         self.disable_pdo(node_id, communication)
         remote = NO_REMOTE_REQUEST if communication >= 0x1800 else 0
         self._give(node_id, mapping, 0, 0)
@@ -208,10 +204,6 @@ class Master(SdoClient):
         self._give(node_id, communication, pdo.transmission_type, 2)
         self._give(node_id, communication, pdo.cob_id | remote | INVALID, 1)
         self._give(node_id, communication, pdo.cob_id | remote, 1)
-        self._check_pdo(node_id, communication, mapping, pdo)
-
-    def _check_pdo(self, node_id: int, communication: int, mapping: int, pdo: PdoMap) -> None:
-        """Check the PDO parameters read back from the device against those written."""
         count = self.sdo_read(node_id, mapping, 0)
         found = [self.sdo_read(node_id, mapping, sub) for sub in range(1, count + 1)]
         place = f"{self._names[node_id]} (node {node_id})"

@@ -11,6 +11,7 @@ from canopen.objectdictionary import ODVariable
 import canopen
 from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
+from hilbench.canopen.identifiers import RPDO_INDICES, TPDO_INDICES
 
 #: Transmission types (CiA 301, table of 1400h/1800h sub 2).
 EVENT_DRIVEN_TYPES = (254, 255)
@@ -43,14 +44,17 @@ def sent_by(variable: ODVariable) -> bool:
 
 
 class PdoMap:
-    """One PDO: its COB-ID, transmission type and mapped variables in order.
+    """One PDO: its COB-ID, transmission type and mapped variables in order; `communication`: index of its communication
+    parameters (1400h for RPDO1), 0 where it is of no device.
 
     `pack(values)` and `unpack(data)` translate between the values and the frame's data (`size` bytes), little
     endian as CiA 301 has it; unpack raises struct.error for data of another size. Raises ValueError when the
     variables take more than 8 bytes or can't be mapped.
     """
 
-    def __init__(self, cob_id: int, transmission_type: int, variables: Sequence[ODVariable]) -> None:
+    def __init__(
+        self, cob_id: int, transmission_type: int, variables: Sequence[ODVariable], communication: int = 0
+    ) -> None:
         self._bits = [bit_length(variable) for variable in variables]
         size = (sum(self._bits) + 7) // 8
         if size > 8:
@@ -58,6 +62,7 @@ class PdoMap:
         kinds = [data_type(variable.data_type or 0) for variable in variables]
         self.cob_id = cob_id
         self.transmission_type = transmission_type
+        self.communication = communication
         self.variables = tuple(variables)
         self.size = size
         self._layout = struct.Struct("<" + "".join(kind.letter or f"{kind.width}s" for kind in kinds))
@@ -68,7 +73,12 @@ class PdoMap:
 
     @classmethod
     def from_names(
-        cls, od: canopen.ObjectDictionary, cob_id: int, transmission_type: int, names: Sequence[int | str]
+        cls,
+        od: canopen.ObjectDictionary,
+        cob_id: int,
+        transmission_type: int,
+        names: Sequence[int | str],
+        communication: int = 0,
     ) -> PdoMap:
         """A map of objects looked up in the dictionary by `eds.find`.
 
@@ -78,7 +88,7 @@ class PdoMap:
         for variable in variables:
             if not variable.pdo_mappable:
                 raise ValueError(f"{variable.index:04X}h ('{variable.name}') is not mappable by its EDS")
-        return cls(cob_id, transmission_type, variables)
+        return cls(cob_id, transmission_type, variables, communication)
 
     def pack(self, values: Sequence[int | float]) -> bytes:
         """The frame's data. Raises ValueError for a value that does not fit its object."""
@@ -106,6 +116,12 @@ class PdoMap:
             packed |= number << at
             at += bits
         return packed.to_bytes(self.size, "little")
+
+    @property
+    def name(self) -> str:
+        """Name by its number at its device: ``TPDO65``."""
+        kind, indices = ("RPDO", RPDO_INDICES) if self.communication in RPDO_INDICES else ("TPDO", TPDO_INDICES)
+        return f"{kind}{indices.index(self.communication) + 1}"
 
     @property
     def mapping(self) -> list[int]:

@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
-from hilbench.canopen.identifiers import RPDOS, TPDOS
+from hilbench.canopen.identifiers import RPDO_INDICES, RPDOS, TPDO_INDICES, TPDOS
 from hilbench.cia402 import objects
 
 if TYPE_CHECKING:
     from hilbench.canopen.device import Device
     from hilbench.canopen.object_store import Cell
+    from hilbench.canopen.pdo import PdoMap
 
 #: Logical devices of a node.
 MOST_AXES: Final = 8
@@ -75,15 +76,17 @@ def tpdo_identifiers(node_id: int, axis: int) -> list[int]:
     return [base + node_id for base in TPDOS[first : first + _TPDOS_OF_AXIS]]
 
 
-def rpdo_numbers(axis: int) -> tuple[int, int]:
-    """Numbers of an axis's RPDO: its own, and that with its default identifier, for devices without PDOs from 65 on."""
-    return 1 + pdos_behind(axis), axis
+def pdo_places(axis: int) -> list[tuple[int, int]]:
+    """Communication parameters of an axis's RPDO, then of its two TPDOs: of each its own, and those with its default
+    identifier, for devices without PDOs from 65 on."""
+    behind, first = pdos_behind(axis), _TPDOS_OF_AXIS * (axis - 1)
+    tpdos = [(TPDO_INDICES[k + behind], TPDO_INDICES[k + first]) for k in range(_TPDOS_OF_AXIS)]
+    return [(RPDO_INDICES[behind], RPDO_INDICES[axis - 1]), *tpdos]
 
 
-def tpdo_numbers(axis: int) -> list[tuple[int, int]]:
-    """Numbers of an axis's two TPDOs, in the same two ways each."""
-    of_both = range(1, _TPDOS_OF_AXIS + 1)
-    return [(k + pdos_behind(axis), k + _TPDOS_OF_AXIS * (axis - 1)) for k in of_both]
+def mapped_objects(pdo: PdoMap) -> tuple[int, ...]:
+    """Objects in a PDO, each by its index on the first axis."""
+    return tuple(of_first_axis(variable.index) for variable in pdo.variables)
 
 
 def emergency_axis(data: bytes) -> int:

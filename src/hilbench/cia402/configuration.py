@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 
 from hilbench.canopen import eds
-from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING
+from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING, RPDO_INDICES, TPDO_INDICES
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap, received_by, sent_by
 from hilbench.cia402 import objects
-from hilbench.cia402.axis import axes, object_of, rpdo_identifier, rpdo_numbers, tpdo_identifiers, tpdo_numbers
+from hilbench.cia402.axis import axes, object_of, pdo_places, rpdo_identifier, tpdo_identifiers
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.units import DriveUnits, ObjectReader
 from hilbench.errors import BenchFaultError, UnusableInputError
@@ -21,9 +22,7 @@ from hilbench.errors import BenchFaultError, UnusableInputError
 IDENTITY: Final = 0x1018
 CONSUMER_HEARTBEAT: Final = 0x1016
 PRODUCER_HEARTBEAT: Final = 0x1017
-RPDO_COMMUNICATION: Final = 0x1400
-TPDO_COMMUNICATION: Final = 0x1800
-_MAPPINGS: Final = range(RPDO_COMMUNICATION + MAPPING, TPDO_COMMUNICATION + 2 * MAPPING)
+_MAPPINGS: Final = range(RPDO_INDICES.start + MAPPING, TPDO_INDICES.stop + MAPPING)
 
 #: The object that each mode with a cyclic set point takes it from.
 SETPOINT_OBJECTS: Final = {
@@ -91,9 +90,12 @@ class DrivePdos:
     """The PDOs of one drive."""
 
     rpdo: PdoMap  #: controlword, target
-    rpdo_number: int
-    #: Number, map, and mapped objects (as the first axis has them) of each TPDO; empty when the drive sends none.
-    tpdos: tuple[tuple[int, PdoMap, tuple[int, ...]], ...]
+    tpdos: tuple[PdoMap, ...]  #: empty when the drive sends none
+
+    @property
+    def all(self) -> tuple[PdoMap, ...]:
+        """RPDO, then TPDOs."""
+        return self.rpdo, *self.tpdos
 
 
 def drive_pdos(settings: DriveSettings, od: ObjectDictionary) -> DrivePdos:
@@ -106,32 +108,27 @@ def drive_pdos(settings: DriveSettings, od: ObjectDictionary) -> DrivePdos:
     if settings.mode not in SETPOINT_OBJECTS:
         expected = ", ".join(str(int(mode)) for mode in SETPOINT_OBJECTS)
         raise UnusableInputError(settings.name, f"mode of operation {int(settings.mode)}, expected one of {expected}")
-    node_id = settings.node_id
-    received = (objects.CONTROLWORD, SETPOINT_OBJECTS[settings.mode])
-    cob_id = settings.listens_to if settings.listens_to is not None else rpdo_identifier(node_id, settings.axis)
-    rpdo = _pdo_map(settings, od, cob_id, 1, received)
-    tpdos: list[tuple[int, PdoMap, tuple[int, ...]]] = []
+    node_id, axis = settings.node_id, settings.axis
+    mapped: list[tuple[int, ...]] = [(objects.CONTROLWORD, SETPOINT_OBJECTS[settings.mode])]
     if settings.tpdo_type is not None:
-        sent: list[tuple[int, ...]] = [(objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE)]
-        sent += [(objects.VELOCITY_ACTUAL_VALUE,)] if settings.has_velocity else []
-        places = zip(tpdo_numbers(settings.axis), tpdo_identifiers(node_id, settings.axis), strict=True)
-        for indices, (numbers, cob_id) in zip(sent, places, strict=False):
-            sent_map = _pdo_map(settings, od, cob_id, settings.tpdo_type, indices)
-            tpdos.append((_number(od, TPDO_COMMUNICATION, numbers), sent_map, indices))
-    return DrivePdos(rpdo, _number(od, RPDO_COMMUNICATION, rpdo_numbers(settings.axis)), tuple(tpdos))
-
-
-def _number(od: ObjectDictionary, communication: int, numbers: tuple[int, int]) -> int:
-    """The first of these PDOs that the EDS has."""
-    return next((number for number in numbers if eds.known(od, communication + number - 1, 1)), numbers[0])
+        mapped += [(objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE)]
+        mapped += [(objects.VELOCITY_ACTUAL_VALUE,)] if settings.has_velocity else []
+    received = settings.listens_to if settings.listens_to is not None else rpdo_identifier(node_id, axis)
+    of_each = zip(mapped, (received, *tpdo_identifiers(node_id, axis)), pdo_places(axis), strict=False)
+    rpdo, *tpdos = (_pdo_map(settings, od, *each) for each in of_each)
+    return DrivePdos(rpdo, tuple(tpdos))
 
 
 def _pdo_map(
-    settings: DriveSettings, od: ObjectDictionary, cob_id: int, transmission_type: int, indices: tuple[int, ...]
+    settings: DriveSettings, od: ObjectDictionary, indices: tuple[int, ...], cob_id: int, places: tuple[int, int]
 ) -> PdoMap:
+    """Map of objects of the axis, as the first of the PDOs at `places` that the EDS has."""
     own = [settings.object(index) for index in indices]
+    received, sent = (received_by, "received", 1), (sent_by, "sent", settings.tpdo_type or 1)
+    allows, done, kind = received if objects.CONTROLWORD in indices else sent
+    communication = next((index for index in places if eds.known(od, index, 1)), places[0])
     try:
-        pdo = PdoMap.from_names(od, cob_id, transmission_type, own)
+        pdo = PdoMap.from_names(od, cob_id, kind, own, communication)
     except KeyError:
         missing = next(index for index in own if index not in od)
         raise UnusableInputError(
@@ -139,7 +136,6 @@ def _pdo_map(
         ) from None
     except ValueError as error:
         raise UnusableInputError(settings.name, str(error)) from error
-    allows, done = (received_by, "received") if objects.CONTROLWORD in indices else (sent_by, "sent")
     for variable in pdo.variables:
         if not allows(variable):
             raise UnusableInputError(
@@ -156,7 +152,7 @@ def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdo
     Raises BenchFaultError when the device is another one or does not take a value, UnusableInputError when the
     configuration asks for what its EDS does not have.
     """
-    node_id, axis = settings.node_id, settings.axis
+    node_id = settings.node_id
     check_identity(master, settings, od)
     for (index, sub), value in settings.parameters.items():
         _write(master, settings, od, index, sub, value)
@@ -167,28 +163,22 @@ def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdo
     if settings.master_heartbeat is not None:
         master_id, time_out_ms = settings.master_heartbeat
         _write(master, settings, od, CONSUMER_HEARTBEAT, 1, master_id << 16 | time_out_ms)
-    sent = {number: pdo for number, pdo, _ in pdos.tpdos}
-    numbers = {number for both in tpdo_numbers(axis) for number in both}
-    unused = [RPDO_COMMUNICATION + number - 1 for number in {*rpdo_numbers(axis)} - {pdos.rpdo_number}]
-    unused += [TPDO_COMMUNICATION + number - 1 for number in numbers - sent.keys()]
+    unused = {*chain(*pdo_places(settings.axis))} - {pdo.communication for pdo in pdos.all}
     for communication in sorted(unused):  # by default they may have the identifiers that the others get
         if eds.known(od, communication, 1):
             master.disable_pdo(node_id, communication)
     for communication in _of_no_axis(od):
         master.disable_pdo(node_id, communication)
-    master.write_rpdo(node_id, pdos.rpdo_number, pdos.rpdo)
-    for number, pdo in sent.items():
-        master.write_tpdo(node_id, number, pdo)
+    for pdo in pdos.all:
+        master.write_pdo(node_id, pdo)
 
 
 def _of_no_axis(od: ObjectDictionary) -> list[int]:
     """PDOs that none of the node's axes takes, and its EDS has valid: they would send what nobody reads, under COB-IDs
     that may be another node's. Communication parameters."""
-    of_axes, declared = axes(od.__contains__), default_reader(od)
-    taken = {RPDO_COMMUNICATION + number - 1 for axis in of_axes for number in rpdo_numbers(axis)}
-    taken |= {TPDO_COMMUNICATION + n - 1 for axis in of_axes for both in tpdo_numbers(axis) for n in both}
-    first = (RPDO_COMMUNICATION, TPDO_COMMUNICATION)
-    free = (index for start in first for index in range(start, start + MAPPING) if index not in taken)
+    declared = default_reader(od)
+    taken = {index for axis in axes(od.__contains__) for both in pdo_places(axis) for index in both}
+    free = (index for index in (*RPDO_INDICES, *TPDO_INDICES) if index not in taken)
     return [index for index in free if not int(declared(index, 1) or INVALID) & INVALID]
 
 
@@ -280,11 +270,8 @@ def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
     if settings.identity is not None:
         needed[IDENTITY, 1] = "it tells the device"
     read, found = default_reader(od, axis=settings.axis), list[str]()
-    pdos = drive_pdos(settings, od)
-    for communication, pdo in (
-        (RPDO_COMMUNICATION + pdos.rpdo_number - 1, pdos.rpdo),
-        *((TPDO_COMMUNICATION + number - 1, sent) for number, sent, _ in pdos.tpdos),
-    ):
+    for pdo in drive_pdos(settings, od).all:
+        communication = pdo.communication
         needed[communication, 1] = "a PDO is set up by it"
         found += _other_cob_id(od, communication, pdo.cob_id)
         written[communication, 2] = pdo.transmission_type, "a PDO is set up by it"

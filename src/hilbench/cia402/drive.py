@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 from hilbench.can.frame import Frame
 from hilbench.canopen.identifiers import EMERGENCY
 from hilbench.cia402 import objects
+from hilbench.cia402.axis import mapped_objects
 from hilbench.cia402.configuration import SETPOINT_OBJECTS, DriveSettings, configure, drive_pdos, read_units
 from hilbench.cia402.state_machine import (
     CONTROLWORD_FAULT_RESET,
@@ -79,7 +80,7 @@ class Drive:
         self.settings = settings
         self.od = od
         self.pdos = drive_pdos(settings, od)
-        self._tpdos = tuple((pdo.cob_id, pdo, indices) for _, pdo, indices in self.pdos.tpdos)
+        self._tpdos = tuple((pdo.cob_id, pdo, mapped_objects(pdo)) for pdo in self.pdos.tpdos)
         self.tpdo_period_s = (settings.tpdo_type or 1) * settings.cycle_s  #: time between two of its TPDOs
         self.feedback = DriveFeedback()
         self.setpoint = 0.0

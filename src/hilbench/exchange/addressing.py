@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import canopen
 from hilbench.canopen.clock import Clock, MonotonicClock, SyncClock
 from hilbench.canopen.eds import shared_eds
-from hilbench.canopen.identifiers import HEARTBEAT, RPDOS, TPDOS
+from hilbench.canopen.identifiers import HEARTBEAT, RPDO_INDICES, RPDOS, TPDO_INDICES, TPDOS
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
 from hilbench.cia402.axis import object_of, rpdo_identifier
@@ -30,47 +30,46 @@ class IoMaps:
     data: ProcessData
     sent: tuple[PdoMap, ...]  #: simulated and estimated signals with their uncertainties, in the order of `data.sent`
     status: PdoMap  #: TPDO3: SYNC counter of the data, age, status bits
-    boundary: tuple[
-        PdoMap, ...
-    ]  #: RPDO1 and following: boundary inputs of the twin, in the order of `data.boundary_inputs`
+    #: RPDO1 and following: boundary inputs of the twin, in the order of `data.boundary_inputs`.
+    boundary: tuple[PdoMap, ...]
 
     @classmethod
     def of(cls, config: BenchConfig, od: canopen.ObjectDictionary) -> IoMaps:
         """The maps by the EDS of the virtual I/O. Raises KeyError or ValueError for what it lacks."""
         data = machine_part(config.machine.kind, "topology").process_data(config.shape)
 
-        def pdo_map(cob_id: int, pdo: IoPdo) -> PdoMap:
+        def pdo_map(cob_id: int, pdo: IoPdo, indices: range) -> PdoMap:
             names = [f"0x{signal.index:04X}sub{signal.sub:X}" for signal in pdo.signals]
-            return PdoMap.from_names(od, cob_id, pdo.every, names)
+            return PdoMap.from_names(od, cob_id, pdo.every, names, indices[pdo.number - 1])
 
         node_id = config.twin.node.node_id
         for pdo in data.sent:
-            if 0x1800 + pdo.number - 1 not in od:
+            if (index := TPDO_INDICES[pdo.number - 1]) not in od:
                 raise KeyError(
-                    f"the virtual I/O has no TPDO{pdo.number} (object {0x1800 + pdo.number - 1:04X}h), expected an EDS "
+                    f"the virtual I/O has no TPDO{pdo.number} (object {index:04X}h), expected an EDS "
                     f"file with {len(data.sent) + 1} of them, such as hilbench_virtual_io_long.eds for up to 24 rollers"
                 )
         if len(data.boundary) > len(RPDOS):
             raise ValueError(
                 f"{len(data.boundary_inputs)} values for the twin, expected at most {PER_PDO * len(RPDOS)}"
             )
+        status = [f"0x2100sub{n}" for n in (1, 2, 3)]
         return cls(
             data,
-            tuple(pdo_map(_tpdo_id(config, pdo.number), pdo) for pdo in data.sent),
-            PdoMap.from_names(od, _tpdo_id(config, STATUS_TPDO), 1, [f"0x2100sub{n}" for n in (1, 2, 3)]),
-            tuple(pdo_map(RPDOS[pdo.number - 1] + node_id, pdo) for pdo in data.boundary),
+            tuple(pdo_map(_tpdo_id(config, pdo.number), pdo, TPDO_INDICES) for pdo in data.sent),
+            PdoMap.from_names(od, _tpdo_id(config, STATUS_TPDO), 1, status, TPDO_INDICES[STATUS_TPDO - 1]),
+            tuple(pdo_map(RPDOS[pdo.number - 1] + node_id, pdo, RPDO_INDICES) for pdo in data.boundary),
         )
 
     @property
-    def tpdos(self) -> list[tuple[int, PdoMap]]:
-        """Every TPDO with its number."""
-        sent = [(pdo.number, found) for pdo, found in zip(self.data.sent, self.sent, strict=True)]
-        return sorted([*sent, (STATUS_TPDO, self.status)], key=lambda entry: entry[0])
+    def tpdos(self) -> list[PdoMap]:
+        """Every TPDO by its number."""
+        return sorted([*self.sent, self.status], key=lambda pdo: pdo.communication)
 
     @property
     def all(self) -> list[PdoMap]:
         """All PDOs of the virtual I/O: TPDOs, then RPDOs."""
-        return [*(pdo for _, pdo in self.tpdos), *self.boundary]
+        return [*self.tpdos, *self.boundary]
 
 
 def _tpdo_id(config: BenchConfig, number: int) -> int:

@@ -133,9 +133,7 @@ def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes |
 
 def _pdos(config: BenchConfig, part: Part, od: ObjectDictionary) -> list[int]:
     """Communication parameters of the PDOs that a drive's part has."""
-    pdos = configuration.drive_pdos(drive_settings(config, part, od), od)
-    sent = (configuration.TPDO_COMMUNICATION + number - 1 for number, _, _ in pdos.tpdos)
-    return [configuration.RPDO_COMMUNICATION + pdos.rpdo_number - 1, *sent]
+    return [pdo.communication for pdo in configuration.drive_pdos(drive_settings(config, part, od), od).all]
 
 
 def _writes_of(

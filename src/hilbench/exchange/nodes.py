@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import chain
 from math import isclose
 from typing import Any, Final
 
@@ -118,11 +119,11 @@ class Nodes:
         self.answers = {
             pdo.cob_id: Tpdo(pdo.cob_id, pdo.size, pdo.period, self.sender(drive))
             for drive in self.drives
-            for _, pdo, _ in drive.pdos.tpdos
+            for pdo in drive.pdos.tpdos
         }
-        self._tpdos_of = [[self.answers[pdo.cob_id] for _, pdo, _ in drive.pdos.tpdos] for drive in self.drives]
+        self._tpdos_of = [[self.answers[pdo.cob_id] for pdo in drive.pdos.tpdos] for drive in self.drives]
         self._in_time = self._ages_cycles = (0,) * len(self._tpdos_of)
-        self._twin_tpdos = [Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name) for _, pdo in self.io.tpdos]
+        self._twin_tpdos = [Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name) for pdo in self.io.tpdos]
         self.answers |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
         self._watch: UnexpectedSenders | None = None  # from when the master is known
         self.unexpected_frames: list[Unexpected] = []  #: of this cycle, neither the bench's nor its nodes'
@@ -175,23 +176,10 @@ class Nodes:
         """The PDOs of a part that the bench maps, by its name."""
         if part == "virtual_io":
             return self.io.all
-        pdos = self._drive_of(part).pdos
-        return [pdos.rpdo, *(pdo for _, pdo, _ in pdos.tpdos)]
-
-    def pdo_names(self, part: str) -> dict[int, str]:
-        """Names of a part's PDOs that have numbers of their own, by COB-ID."""
-        if part == "virtual_io":
-            return {pdo.cob_id: f"TPDO{number}" for number, pdo in self.io.tpdos}
-        pdos = self._drive_of(part).pdos
-        return {pdos.rpdo.cob_id: f"RPDO{pdos.rpdo_number}"} | {
-            pdo.cob_id: f"TPDO{number}" for number, pdo, _ in pdos.tpdos
-        }
-
-    def _drive_of(self, part: str) -> Drive:
         place = self.config.part(part)
-        address = place.node.node_id, place.node_axis
-        drives = (*self.drives, *self.virtual_axes)
-        return next(drive for drive in drives if (drive.settings.node_id, drive.settings.axis) == address)
+        address, drives = (place.node.node_id, place.node_axis), (*self.drives, *self.virtual_axes)
+        found = next(drive for drive in drives if (drive.settings.node_id, drive.settings.axis) == address)
+        return [*found.pdos.all]
 
     # -- configuration -----------------------------------------------------------------------------------
 
@@ -231,10 +219,8 @@ class Nodes:
 
     def _configure_io(self, master: Master) -> None:
         node_id = self.config.twin.node.node_id
-        for number, pdo in enumerate(self.io.boundary, 1):
-            master.write_rpdo(node_id, number, pdo)
-        for number, pdo in self.io.tpdos:
-            master.write_tpdo(node_id, number, pdo)
+        for pdo in (*self.io.boundary, *self.io.tpdos):
+            master.write_pdo(node_id, pdo)
         master.configure(node_id, {(0x1017, 0): self.config.master.node_heartbeat_ms})
 
     def restart_twin(self) -> None:
@@ -313,13 +299,11 @@ class Nodes:
 
     def expected_pdos(self, twin_since: int = 0) -> list[ExpectedPdo]:
         """The TPDOs that answer SYNC; `twin_since`: the SYNC before the twin was started."""
-        expected = []
-        for drive in self.drives:
-            sender = self.sender(drive)
-            expected += [ExpectedPdo(pdo.cob_id, pdo.period, sender, pdo.size) for _, pdo, _ in drive.pdos.tpdos]
-        for _, pdo in self.io.tpdos:
-            expected.append(ExpectedPdo(pdo.cob_id, pdo.period, self.twin_name, pdo.size, twin_since, vital=False))
-        return expected
+        of_drives = [ExpectedPdo(each.cob_id, each.every, each.sender, each.size) for each in chain(*self._tpdos_of)]
+        return of_drives + [
+            ExpectedPdo(each.cob_id, each.every, each.sender, each.size, twin_since, vital=False)
+            for each in self._twin_tpdos
+        ]
 
     def cyclic_frames(self) -> list[CyclicFrame]:
         """All frames of a cycle, for the bus load."""
@@ -328,8 +312,8 @@ class Nodes:
             name, pdos = drive.settings.name, drive.pdos
             if drive not in self.virtual_axes:
                 frames += [CyclicFrame(f"{name} RPDO", cob_id, pdos.rpdo.size) for cob_id in drive.rpdo_cob_ids]
-            frames += [CyclicFrame(f"{name} TPDO", pdo.cob_id, pdo.size, 1 / pdo.period) for _, pdo, _ in pdos.tpdos]
-        named = [(f"TPDO{number}", pdo) for number, pdo in self.io.tpdos]
+            frames += [CyclicFrame(f"{name} TPDO", pdo.cob_id, pdo.size, 1 / pdo.period) for pdo in pdos.tpdos]
+        named = [(pdo.name, pdo) for pdo in self.io.tpdos]
         named += zip(("boundary", "stations", "further stations", "last stations"), self.io.boundary, strict=False)
         for name, pdo in named:
             frames.append(CyclicFrame(f"virtual io {name}", pdo.cob_id, pdo.size, 1 / pdo.period))
@@ -376,7 +360,7 @@ class Nodes:
             shown = drive.decode(data)
             measured += (shown.position_rad, shown.velocity_rad_s, shown.torque_Nm, shown.statusword)
         self.measured.of_drives[:] = measured
-        self._take_twin({pdo.cob_id: pdo.unpack(data[pdo.cob_id]) for _, pdo in self.io.tpdos if pdo.cob_id in data})
+        self._take_twin({pdo.cob_id: pdo.unpack(data[pdo.cob_id]) for pdo in self.io.tpdos if pdo.cob_id in data})
 
     def _take_twin(self, data: Mapping[int, Sequence[Any]]) -> None:
         """Take status, simulated and estimated signals of the twin from its answers to this SYNC."""

@@ -13,6 +13,7 @@ import numpy as np
 from hilbench.can.frame import Frame
 from hilbench.canopen.identifiers import SYNC
 from hilbench.canopen.pdo import PdoMap
+from hilbench.cia402.axis import mapped_objects
 from hilbench.cia402.drive import Drive
 from hilbench.compiled import COUNT, TABLE, Reals, Table, Wholes, arrays_in, entry_point, record_type, records
 from hilbench.cycle_program import CONTINUE, CompiledStage, StageAbortedError, never
@@ -179,9 +180,9 @@ class BenchFrames(ABC):
         nodes = self.nodes
         for drive in nodes.drives:
             raw: dict[int, int] = {}
-            for _, pdo, indices in drive.pdos.tpdos:
+            for pdo in drive.pdos.tpdos:
                 refuse_if(pdo.period != 1)
-                raw.update(zip(indices, self._take_pdo(pdo, is_float=False)[1], strict=True))
+                raw.update(zip(mapped_objects(pdo), self._take_pdo(pdo, is_float=False)[1], strict=True))
             self._raw.append((drive, raw))
         row, taken = self._take_pdo(nodes.io.status, is_float=False)
         self.status = row, taken[0]

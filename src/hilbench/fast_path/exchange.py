@@ -13,6 +13,7 @@ from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.canopen.identifiers import HEARTBEAT, NmtState
 from hilbench.cia402 import objects
+from hilbench.cia402.axis import mapped_objects
 from hilbench.cia402.state_machine import STATUS_MASK, State
 from hilbench.compiled import load
 from hilbench.cycle_program import CONTINUE, CompiledStage
@@ -72,7 +73,7 @@ class _AnsweredFrames(BenchFrames):
             left = (pdo.since - cycles) % pdo.every or pdo.every
             refuse_if(nodes.answers[pdo.cob_id].since + left != pdo.every)
         expected = {*self.sync.due_always, *(pdo.cob_id for pdo in self.sync.due_at_times)}
-        taken = {pdo.cob_id for drive in nodes.drives for _, pdo, _ in drive.pdos.tpdos}
+        taken = {pdo.cob_id for drive in nodes.drives for pdo in drive.pdos.tpdos}
         taken |= {pdo.cob_id for pdo in (nodes.io.status, *nodes.io.sent)}
         refuse_if(not expected == set(nodes.answers) == taken)
         for node_id in dict.fromkeys(part.node.node_id for part in nodes.config.parts):
@@ -83,9 +84,9 @@ class _AnsweredFrames(BenchFrames):
 
     def _check_statuswords(self) -> None:
         for drive in self.nodes.drives:
-            for _, pdo, indices in drive.pdos.tpdos:
+            for pdo in drive.pdos.tpdos:
                 offset, row = 0, self.frames.row_of(pdo.cob_id)
-                for index, kind in zip(indices, pdo.kinds, strict=True):
+                for index, kind in zip(mapped_objects(pdo), pdo.kinds, strict=True):
                     width = kind.width or 0
                     if index == objects.STATUSWORD:
                         self.checks.append((row, offset, width, STATUS_MASK[_ENABLED], _ENABLED.value))

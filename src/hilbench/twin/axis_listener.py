@@ -7,6 +7,7 @@ from pathlib import Path
 
 from hilbench.canopen.eds import shared_eds
 from hilbench.cia402 import objects
+from hilbench.cia402.axis import mapped_objects
 from hilbench.cia402.configuration import DriveSettings, drive_pdos
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.units import DriveUnits, UnwrappingCounter
@@ -35,10 +36,10 @@ class AxisListener:
         od, node_id = shared_eds(axis.eds, axis.node_id), axis.node_id
         mode = OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY
         settings = DriveSettings(f"axis of node {node_id}", node_id, mode, cycle_s, axis=axis.axis)
-        _, pdo, indices = drive_pdos(settings, od).tpdos[0]
+        self.pdo = pdo = drive_pdos(settings, od).tpdos[0]
         self.cob_id = pdo.cob_id
         self.size = pdo.size  #: bytes of the frame's data
-        self.pdo = pdo
+        indices = mapped_objects(pdo)
         self.position = indices.index(objects.POSITION_ACTUAL_VALUE)  #: index in the PDO, as the next
         self.torque = indices.index(objects.TORQUE_ACTUAL_VALUE)
         self.units = axis.units

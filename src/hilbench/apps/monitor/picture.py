@@ -22,7 +22,7 @@ from hilbench.can.wire import frame_bits
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, NMT, SYNC, NmtCommand, node_of
 from hilbench.cia402 import objects
-from hilbench.cia402.axis import of_first_axis
+from hilbench.cia402.axis import mapped_objects
 from hilbench.cia402.object_units import si_unit
 from hilbench.cia402.state_machine import State, decode_statusword
 from hilbench.cia402.units import DriveUnits
@@ -178,8 +178,7 @@ class BusPicture:
                 continue
             units = declared_units(part, nodes.dictionary(part.name))
             for pdo in nodes.pdo_maps(part.name)[1:]:  # what it sends
-                indices = tuple(of_first_axis(variable.index) for variable in pdo.variables)
-                self._tpdos[pdo.cob_id] = (self.nodes[part.name], pdo, indices, units)
+                self._tpdos[pdo.cob_id] = (self.nodes[part.name], pdo, mapped_objects(pdo), units)
         self._answers = {
             part.name: nodes.pdo_maps(part.name)[1].cob_id
             for part in parts
