@@ -33,6 +33,7 @@ from hilbench.canopen.identifiers import (
     NmtState,
     is_restricted,
     node_of,
+    pdo_name,
 )
 from hilbench.canopen.object_store import INVALID_VALUE, PRESENT_STATE, Cell, ObjectStore, SdoAbort
 from hilbench.canopen.sdo_server import DeviceSdoServer, may_write
@@ -57,14 +58,6 @@ _INTEGERS = {0x1001, *range(0x1005, 0x1008), 0x100C, 0x100D, *range(0x1014, 0x10
 
 _COMMUNICATION_AREA = (0x1000, 0x1FFF)
 _ALL_AREAS = (0x1000, 0x9FFF)
-
-
-def _pdo_name(index: int) -> str:
-    """Of the PDO that these communication parameters are of; "" for other objects."""
-    for indices, name in ((RPDO_INDICES, "RPDO"), (TPDO_INDICES, "TPDO")):
-        if index in indices:
-            return f"{name}{indices.index(index) + 1}"
-    return ""
 
 
 class Device:
@@ -102,22 +95,17 @@ class Device:
         self.consumer = HeartbeatConsumer(self._store, clock.now_ns, self._heartbeat_lost, self._heartbeat_back)
         lost, back = partial(self._heartbeat_lost, _GUARD), partial(self._heartbeat_back, _GUARD)
         self._guarding = NodeGuarding(self._store, clock.now_ns, lost, back)
-        numbers = range(1, 513)
-        self._rpdos = [
-            Rpdo(self._store, n, self._emcy, clock.now_ns)
-            for n in numbers
-            if (0x13FF + n, 1) in self._store and (0x15FF + n, 0) in self._store
-        ]
-        self._tpdos = [
-            Tpdo(self._store, n, self._send)
-            for n in numbers
-            if (0x17FF + n, 1) in self._store and (0x19FF + n, 0) in self._store
-        ]
+        received, sent = (
+            [index for index in indices if self.has(index, 1) and self.has(index + MAPPING)]
+            for indices in (RPDO_INDICES, TPDO_INDICES)
+        )
+        self._rpdos = [Rpdo(self._store, index, self._emcy, clock.now_ns) for index in received]
+        self._tpdos = [Tpdo(self._store, index, self._send) for index in sent]
         #: PDOs that can't be as the EDS file has them: without a mapping, or valid with one that can't be; a line each.
         self.left_out: dict[str, str] = {
             name: f"{name} is not sent or received: object {index + MAPPING:04X}h is missing, its mapping"
             for index in od.indices
-            if (name := _pdo_name(index)) and index + MAPPING not in od.indices
+            if (name := pdo_name(index)) and index + MAPPING not in od.indices
         }
         self.receive_pdos: dict[int, Rpdo] = {}  #: RPDOs in use, by identifier
         self.synchronous_pdos: list[Tpdo] = []  #: TPDOs sent with SYNC, in their order

@@ -17,7 +17,7 @@ import canopen
 from hilbench.canopen import concise_dcf, eds
 from hilbench.canopen.concise_dcf import Write
 from hilbench.canopen.data_types import DataType, Value, data_type
-from hilbench.canopen.identifiers import MAPPING, NODE_ID, RPDO_INDICES, TPDO_INDICES
+from hilbench.canopen.identifiers import MAPPING, NODE_ID, pdo_name
 from hilbench.canopen.master import Master
 from hilbench.canopen.object_store import NO_DATA
 from hilbench.canopen.sdo_client import Refusal, no_answer
@@ -135,8 +135,8 @@ def moved(writes: Sequence[Write], from_node: int, to_node: int) -> tuple[list[W
 
 
 def _is_cob_id(write: Write) -> bool:
-    is_pdo = write.sub == 1 and (write.index in RPDO_INDICES or write.index in TPDO_INDICES)
-    return len(write.data) == 4 and (is_pdo or write.key == (_EMERGENCY_COB_ID, 0))
+    is_pdo = write.sub == 1 and pdo_name(write.index)
+    return len(write.data) == 4 and bool(is_pdo or write.key == (_EMERGENCY_COB_ID, 0))
 
 
 def write_device(
@@ -184,10 +184,9 @@ def _parameters(configuration: Configuration) -> Iterator[Key]:
 def _pdo_of(key: Key) -> int | None:
     """The communication parameters of the PDO that is set up by an object: by its COB-ID, or by its mapping."""
     index, sub = key
-    if sub == 1 and (index in RPDO_INDICES or index in TPDO_INDICES):
+    if sub == 1 and pdo_name(index):
         return index
-    of_mapping = index - MAPPING in RPDO_INDICES or index - MAPPING in TPDO_INDICES
-    return index - MAPPING if sub == 0 and of_mapping else None
+    return index - MAPPING if sub == 0 and pdo_name(index - MAPPING) else None
 
 
 def _pdo_writes(values: Mapping[Key, bytes], index: int) -> Iterator[Write]:

@@ -8,7 +8,7 @@ from typing import ClassVar
 from canopen.objectdictionary import ODVariable
 
 from hilbench.canopen.emcy import COMMUNICATION_ERROR, EmergencyProducer
-from hilbench.canopen.identifiers import COB_ID, INVALID, is_restricted
+from hilbench.canopen.identifiers import COB_ID, INVALID, MAPPING, is_restricted, pdo_name
 from hilbench.canopen.object_store import (
     INVALID_VALUE,
     NOT_MAPPABLE,
@@ -33,15 +33,13 @@ class _Pdo:
     _dummies = False  #: true if placeholders may be mapped
     _maps: ClassVar[Callable[[ODVariable], bool]]  #: true for a variable that may be in a PDO of this direction
 
-    def __init__(self, store: ObjectStore, number: int, communication: int, mapping: int) -> None:
-        self.number = number
+    def __init__(self, store: ObjectStore, index: int) -> None:
+        """`index`: of its communication parameters."""
+        self.number = index % MAPPING + 1
         self._store = store
-        self._cob = store.cell(communication + number - 1, 1)
-        self._type = store.cell(communication + number - 1, 2)
-        self._index = communication + number - 1
-        self._count = store.cell(mapping + number - 1, 0)
-        entries = (store.cell(mapping + number - 1, k) for k in range(1, 65) if (mapping + number - 1, k) in store)
-        self._entries = list(entries)
+        self._index, mapping = index, index + MAPPING
+        self._cob, self._type, self._count = store.cell(index, 1), store.cell(index, 2), store.cell(mapping, 0)
+        self._entries = [store.cell(mapping, k) for k in range(1, 65) if (mapping, k) in store]
         self.cells: list[Cell] = []
         self.map: PdoMap | None = None
         self.compiled: tuple[int, ...] = ()  #: parameters that the codec follows
@@ -55,7 +53,7 @@ class _Pdo:
                 store.cell(self._index, sub).on_write = self._only_while_invalid
 
     def __str__(self) -> str:
-        return f"{type(self).__name__.upper()}{self.number}"
+        return pdo_name(self._index)
 
     @property
     def valid(self) -> bool:
@@ -160,8 +158,8 @@ class Rpdo(_Pdo):
     _dummies = True
     _maps = received_by
 
-    def __init__(self, store: ObjectStore, number: int, emcy: EmergencyProducer, now_ns: Callable[[], int]) -> None:
-        super().__init__(store, number, 0x1400, 0x1600)
+    def __init__(self, store: ObjectStore, index: int, emcy: EmergencyProducer, now_ns: Callable[[], int]) -> None:
+        super().__init__(store, index)
         self._emcy = emcy
         self._now_ns = now_ns
         self._waiting: bytes | None = None
@@ -264,8 +262,8 @@ class Tpdo(_Pdo):
 
     _maps = sent_by
 
-    def __init__(self, store: ObjectStore, number: int, send: Callable[[int, bytes], None]) -> None:
-        super().__init__(store, number, 0x1800, 0x1A00)
+    def __init__(self, store: ObjectStore, index: int, send: Callable[[int, bytes], None]) -> None:
+        super().__init__(store, index)
         self._send = send
         self.syncs = 0  #: SYNCs since it was sent
         self._sent: bytes | None = None

@@ -17,7 +17,7 @@ from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
 import canopen
 from hilbench.canopen.data_types import NODE_ID, DataType, Value, data_type
-from hilbench.canopen.identifiers import MAPPING, RPDO_INDICES, TPDO_INDICES
+from hilbench.canopen.identifiers import MAPPING, pdo_name
 from hilbench.errors import UnusableInputError
 from hilbench.files import content, require_file, usable
 
@@ -205,9 +205,7 @@ def with_mapped_pdos(od: canopen.ObjectDictionary) -> canopen.ObjectDictionary:
     """Without the communication parameters of PDOs that have no mapping, which canopen would ask for."""
     mapped = copy(od)
     mapped.indices = {
-        index: entry
-        for index, entry in od.indices.items()
-        if not (index in RPDO_INDICES or index in TPDO_INDICES) or index + MAPPING in od.indices
+        index: entry for index, entry in od.indices.items() if not pdo_name(index) or index + MAPPING in od.indices
     }
     return mapped
 

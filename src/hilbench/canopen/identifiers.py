@@ -73,6 +73,15 @@ class NmtState(IntEnum):
         return bytes((self,))
 
 
+def pdo_name(index: int) -> str:
+    """Name of the PDO whose communication parameters are at an index, by its number at its device: ``TPDO65``; "" for
+    another object."""
+    for kind, indices in (("RPDO", RPDO_INDICES), ("TPDO", TPDO_INDICES)):
+        if index in indices:
+            return f"{kind}{indices.index(index) + 1}"
+    return ""
+
+
 def node_of(can_id: int, function: int) -> int:
     """Node id of a message with this function code; 0: it has another one."""
     return can_id - function if function < can_id <= function + LAST_NODE else 0

@@ -11,7 +11,7 @@ from canopen.objectdictionary import ODVariable
 import canopen
 from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
-from hilbench.canopen.identifiers import RPDO_INDICES, TPDO_INDICES
+from hilbench.canopen.identifiers import pdo_name
 
 #: Transmission types (CiA 301, table of 1400h/1800h sub 2).
 EVENT_DRIVEN_TYPES = (254, 255)
@@ -120,8 +120,7 @@ class PdoMap:
     @property
     def name(self) -> str:
         """Name by its number at its device: ``TPDO65``."""
-        kind, indices = ("RPDO", RPDO_INDICES) if self.communication in RPDO_INDICES else ("TPDO", TPDO_INDICES)
-        return f"{kind}{indices.index(self.communication) + 1}"
+        return pdo_name(self.communication)
 
     @property
     def mapping(self) -> list[int]:
