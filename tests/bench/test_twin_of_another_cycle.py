@@ -7,7 +7,6 @@ import sys
 import uuid
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,14 @@ import pytest
 from tests.bench.whole_runs import config, run, run_folders, run_here
 
 from hilbench.bench.lifecycle import in_process
+from hilbench.canopen.host import HostedDevices
+from hilbench.exchange.addressing import device_clock
 from hilbench.processes import log
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
+from hilbench.topology.config import BenchConfig
 from hilbench.twin.bus_clock import BusClock
-from hilbench.twin.process import TwinApplication, TwinSetup
+from hilbench.twin.process import TwinApplication, twin
 from hilbench.twin.virtual_io import TwinStatus
 
 CYCLE_S = 0.004
@@ -43,19 +45,22 @@ SERVO = Path(__file__).resolve().parents[2] / "bench_configs" / "servo_axis.yaml
 def twin_of(cycle_s: float) -> Iterator[None]:
     """The twin's config has this cycle, and its clock sees SYNC come every CYCLE_S: a run in lockstep is that each
     time."""
-    setup_of, made, before_sync = in_process.twin_setup, TwinApplication.__init__, TwinApplication.before_sync
+    made, before_sync = TwinApplication.__init__, TwinApplication.before_sync
     seen = {"ns": 0}
 
-    def make(self: TwinApplication, setup: TwinSetup, *others: Any) -> None:
-        made(self, setup, *others)
-        self._clock = BusClock(setup.cycle_s, lambda: seen["ns"], self.device, log)
+    def another(bench: BenchConfig) -> HostedDevices:
+        return twin(bench.model_copy(update={"cycle_time_s": cycle_s}), device_clock(bench))
+
+    def make(self: TwinApplication, bench: BenchConfig, *others: Any) -> None:
+        made(self, bench, *others)
+        self._clock = BusClock(bench.cycle_time_s, lambda: seen["ns"], self.device, log)
 
     def synced(self: TwinApplication, behind: int) -> None:
         seen["ns"] += round(1e9 * CYCLE_S)
         before_sync(self, behind)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(in_process, "twin_setup", lambda config: replace(setup_of(config), cycle_s=cycle_s))
+        patch.setattr(in_process, "twin", another)
         patch.setattr(TwinApplication, "__init__", make)
         patch.setattr(TwinApplication, "before_sync", synced)
         yield

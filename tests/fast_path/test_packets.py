@@ -47,7 +47,6 @@ from hilbench.runs.config import load_with_overrides
 from hilbench.twin.fast_path_run import TwinFastCycle
 from hilbench.twin.process import twin
 from hilbench.twin.run import fast_path_host as twins_plain_host
-from hilbench.twin.setup import twin_setup
 
 #: Errors after which SYNC goes on without waiting for every drive: how far the drives come until they are at rest
 #: depends on who is faster, interpreted, too. `tests/in_process_cycle` has them in one process.
@@ -74,17 +73,13 @@ class Left:
 def served(loaded: Any, *, compiled: bool) -> Iterator[list[HostedDevices]]:
     """Hardware and twin on the embedded bus, each in a thread of its own."""
     config, stop = loaded.config, threading.Event()
-    all_hosted = [hardware(config), twin(twin_setup(config))]
+    all_hosted = [hardware(config), twin(config)]
     links = [open_link(config.bus_address) for _ in all_hosted]
     threads = []
     for hosted, link in zip(all_hosted, links, strict=True):
         host = DeviceHost(link, *hosted)
         of_twin = hosted is all_hosted[1]
-        fast = (
-            twins_plain_host(host, link, hosted, twin_setup(config))
-            if of_twin
-            else fast_path_host(host, link, hosted, config)
-        )
+        fast = twins_plain_host(host, link, hosted) if of_twin else fast_path_host(host, link, hosted, config)
         arguments = (stop.is_set, fast.serve if compiled and fast is not None else None)
         threads.append(threading.Thread(target=host.run, args=arguments, daemon=True))
     try:

@@ -30,7 +30,6 @@ from hilbench.runs.config import load_with_overrides
 from hilbench.twin.fast_path_run import TwinFastCycle
 from hilbench.twin.process import TwinApplication, twin
 from hilbench.twin.run import fast_path_host
-from hilbench.twin.setup import twin_setup
 
 Packet = list[Frame]
 #: Long enough for what was sent to be there; nobody waits for it to end.
@@ -89,7 +88,7 @@ class Played:
     def __init__(self, packets: Sequence[Packet], *, compiled: bool) -> None:
         self.said: list[Packet] = []
         self.ends: list[tuple[int, bool]] = []
-        setup = twin_setup(load_with_overrides(CONFIGS / "web_section_step.yaml").config)
+        config = load_with_overrides(CONFIGS / "web_section_step.yaml").config
         end = TwinFastCycle.end
 
         def kept(of: TwinFastCycle) -> None:
@@ -98,9 +97,9 @@ class Played:
 
         with linked() as (link, hub), patch.object(TwinFastCycle, "end", kept), ExitStack() as until_sync:
             until_sync.enter_context(standing_clock())
-            hosted = twin(setup)
+            hosted = twin(config)
             host = DeviceHost(link, *hosted)
-            fast = fast_path_host(host, link, hosted, setup)
+            fast = fast_path_host(host, link, hosted)
             serve = fast.serve if compiled and fast is not None else host.serve
             host.boot()
             for packet in packets:

@@ -16,7 +16,7 @@ from hilbench.runs.config import load_with_overrides
 from hilbench.topology.blocks import MachineParameters
 from hilbench.twin.machines.kinds import boundary, new_machine
 from hilbench.twin.machines.machine import TwinMachine
-from hilbench.twin.setup import twin_setup
+from hilbench.twin.process import twin_config
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 #: What the twin's clock runs fast by, and how late a SYNC is read at most.
@@ -146,16 +146,16 @@ def measured_by(machine: TwinMachine, model: MachineParameters, time_s: float) -
 @pytest.mark.parametrize("config", ["servo_axis", "line_three_spans", *slow("line_with_dancer", "winding_line")])
 def test_a_machine_of_any_kind_goes_on_with_cycles_of_another_length(config: str) -> None:
     bench = load_with_overrides(CONFIGS / f"{config}.yaml").config
-    setup = twin_setup(bench)
-    around = boundary(setup.model, setup.shape)
-    machine = new_machine(setup.model, setup.twin, setup.shape, setup.cycle_s, around.__getitem__)
+    model, nominal_s = bench.machine, bench.cycle_time_s
+    around = boundary(model, bench.shape)
+    machine = new_machine(model, twin_config(bench), bench.shape, nominal_s, around.__getitem__)
     time_s = 0.0
-    for cycle_s in (setup.cycle_s, 1.05 * setup.cycle_s, 2.0 * setup.cycle_s, setup.cycle_s):
+    for cycle_s in (nominal_s, 1.05 * nominal_s, 2.0 * nominal_s, nominal_s):
         machine.set_cycle_time(cycle_s)
         for _ in range(50):
-            before = measured_by(machine, setup.model, time_s)
+            before = measured_by(machine, model, time_s)
             time_s += cycle_s
-            now = measured_by(machine, setup.model, time_s)
+            now = measured_by(machine, model, time_s)
             if time_s == cycle_s:
                 machine.release(before, now)
             machine.compare(time_s, now)

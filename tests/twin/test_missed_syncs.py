@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -18,15 +17,15 @@ from hilbench.estimation.problems import Problem
 from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.plant.motor_port import MotorMode
 from hilbench.runs.config import load_with_overrides
+from hilbench.topology.parts import Role
 from hilbench.topology.process_data.web_line import process_data
 from hilbench.topology.web_line import SMALLEST, boundary
 from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.machines.kinds import new_machine
 from hilbench.twin.machines.machine import TwinMachine
 from hilbench.twin.model_switch import ModelSwitcher
-from hilbench.twin.process import TwinApplication
+from hilbench.twin.process import TwinApplication, twin_config
 from hilbench.twin.process import twin as make_twin
-from hilbench.twin.setup import twin_setup
 from hilbench.twin.virtual_io import TwinStatus, VirtualIo
 
 CONFIG = load_with_overrides(Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml").config
@@ -60,9 +59,8 @@ def motion(time_s: float, tension_N: float = TENSION_N) -> list[tuple[float, flo
 
 def driven_machine() -> TwinMachine:
     """Of the twin, with its motors under way."""
-    setup = twin_setup(CONFIG)
     around = boundary(MODEL, SMALLEST)
-    machine = new_machine(MODEL, setup.twin, setup.shape, CYCLE_S, lambda name: around[name])
+    machine = new_machine(MODEL, twin_config(CONFIG), CONFIG.shape, CYCLE_S, lambda name: around[name])
     for port in machine.ports:
         port.mode, port.torque_limit_Nm = MotorMode.VELOCITY, 9.0
     return machine
@@ -95,17 +93,19 @@ class OnTheBus:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, cycle_s: float = CYCLE_S) -> None:
         self.clock = Clock()
-        setup = replace(twin_setup(CONFIG), clock=self.clock, cycle_s=cycle_s)
-        node = setup.virtual_io
+        config, of_twin = CONFIG.model_copy(update={"cycle_time_s": cycle_s}), twin_config(CONFIG)
+        node = config.twin.node
         self.device = Device(load_eds(node.eds, node.node_id), node.node_id, self.clock)
-        virtual_io = VirtualIo(self.device, process_data(setup.shape), boundary(MODEL, SMALLEST))
+        virtual_io = VirtualIo(self.device, process_data(config.shape), boundary(MODEL, SMALLEST))
         self.machine = ModelSwitcher(
-            lambda _: lambda: new_machine(MODEL, setup.twin, setup.shape, cycle_s, virtual_io.boundary_inputs), cycle_s
+            lambda _: lambda: new_machine(MODEL, of_twin, config.shape, cycle_s, virtual_io.boundary_inputs), cycle_s
         )
         self.device.boot()
         self.said: list[str] = []
-        self._application = TwinApplication(setup, self.machine, [], self.device, virtual_io, self.said.append)
-        self._listeners = [AxisListener(axis, CYCLE_S) for axis in setup.real_axes]
+        self._application = TwinApplication(
+            config, self.clock, self.machine, [], self.device, virtual_io, self.said.append
+        )
+        self._listeners = [AxisListener(axis, CYCLE_S) for axis in config.parts_of(Role.AXIS)]
         monkeypatch.setattr(AxisListener, "decode", lambda listener, data: self.measured[listener.cob_id])
 
     def sync(
@@ -199,7 +199,7 @@ def test_an_axis_that_something_else_turns_is_not_waited_for_for_ever(monkeypatc
 
 
 def test_until_the_bench_says_what_is_around_the_web_a_twin_that_was_reset_holds_what_it_believes() -> None:
-    hosted = make_twin(twin_setup(CONFIG))
+    hosted = make_twin(CONFIG)
     application, virtual_io = hosted.application, hosted.devices[-1]
     assert isinstance(application, TwinApplication)
     virtual_io.reset_node()

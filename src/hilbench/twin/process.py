@@ -6,11 +6,9 @@ Its only link to the bench is the bus: it receives the real axes' TPDOs in addit
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 from hilbench.can.frame import Frame
-from hilbench.can.open import BusAddress
 from hilbench.canopen.clock import Clock, SyncClock
 from hilbench.canopen.device import Device, SdoAbort
 from hilbench.canopen.eds import shared_eds
@@ -18,14 +16,17 @@ from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.identifiers import NmtState
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.cycle_program import CompiledStage, python_stage
+from hilbench.estimation.web_line.config import KnownChangeConfig
+from hilbench.exchange.addressing import declared_units, device_clock
 from hilbench.machine_kinds import machine_part
 from hilbench.plant.motor_port import MotorMode
 from hilbench.processes import log
 from hilbench.real_time import ProcessSettings, right_behind
-from hilbench.topology.blocks import MachineParameters, TwinConfig
-from hilbench.topology.signals import Shape
+from hilbench.topology.blocks import TwinConfig
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Role
 from hilbench.twin import virtual_io
-from hilbench.twin.axis_listener import AxisListener, AxisNode, TwinNode
+from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.bus_clock import BusClock
 from hilbench.twin.cycle_count_from_position import CycleCountFromPosition
 from hilbench.twin.estimated_errors import as_text
@@ -46,22 +47,8 @@ _LOOK_FOR_VECTORS = 64
 _KEPT_S = 0.25
 #: Speed at the motor from which on an axis needs a set point before the machine is released; longest wait for that.
 _MOVES_RAD_S, _LONGEST_WAIT_S = 0.05, 0.1
-
-
-@dataclass(frozen=True)
-class TwinSetup:
-    """Everything the twin needs of the bench config."""
-
-    bus: BusAddress
-    clock: Clock
-    cycle_s: float
-    model: MachineParameters
-    shape: Shape
-    twin: TwinConfig
-    real_axes: tuple[AxisNode, ...]
-    virtual_axes: tuple[AxisNode, ...]
-    virtual_io: TwinNode
-    process: ProcessSettings | None  #: priority and affinity of the twin's process
+#: Deviation of a simulated drive's loop gains from the model's, %.
+_SIMULATED_LOOP_PCT = 0.2
 
 
 class TwinApplication:
@@ -78,7 +65,8 @@ class TwinApplication:
 
     def __init__(
         self,
-        setup: TwinSetup,
+        config: BenchConfig,
+        clock: Clock,
         machine: ModelSwitcher,
         drives: Sequence[SimulatedDrive],
         device: Device,
@@ -88,15 +76,15 @@ class TwinApplication:
         self.missed = 0
         self.malformed = 0  #: frames with the COB-ID, but not the length, of an axis' TPDO
         self.surplus = 0  #: TPDOs of an axis beyond the one that answers SYNC
-        self.cycle_s = setup.cycle_s  #: simulated time per SYNC
-        self._model = setup.model
-        self._hold_when_behind = setup.twin.behind == "hold"
+        self.cycle_s = config.cycle_time_s  #: simulated time per SYNC
+        self._model = config.machine
+        self._hold_when_behind = config.twin.behind == "hold"
         self._machine = machine
         self._ports = machine.ports
         self.drives = drives  #: virtual axes
         self.device, self.io = device, virtual_io  #: of the virtual I/O, and the access to its objects
         #: Receivers of the real axes' TPDOs.
-        self.listeners = [AxisListener(node, setup.cycle_s) for node in setup.real_axes]
+        self.listeners = [AxisListener(part, self.cycle_s) for part in config.parts_of(Role.AXIS)]
         self.listens_to = frozenset(listener.cob_id for listener in self.listeners)
         self._nothing: list[Measured | None] = [None] * len(self.listeners)
         self._measured = list(self._nothing)
@@ -104,15 +92,15 @@ class TwinApplication:
         self._measured_before: list[Measured] | None = None  # while the machine waits to be released
         self._waited_s = 0.0  # for set points of moving axes
         self._was_held = False  # by a disabled drive, since the start
-        self._reports = Reports(device, machine, setup.cycle_s)
+        self._reports = Reports(device, machine, self.cycle_s)
         self._pending = self._released = False
         self._sync_number = self._behind = 0
         self._time_s = self._kept_s = 0.0
         # In lockstep one SYNC is one cycle, however long it took.
-        in_lockstep = isinstance(setup.clock, SyncClock)
-        self._clock = None if in_lockstep else BusClock(setup.cycle_s, setup.clock.now_ns, device, report)
+        in_lockstep = isinstance(clock, SyncClock)
+        self._clock = None if in_lockstep else BusClock(self.cycle_s, clock.now_ns, device, report)
         self._skipped = 0  # elapsed cycles of the axes by the clock, less the received SYNCs
-        self._travels = CycleCountFromPosition(setup.model, setup.cycle_s)
+        self._travels = CycleCountFromPosition(self._model, self.cycle_s)
         self._in_vectors: InVectors | None = None
         self.leaves_vectors = False  #: the vectors' state has to go on in objects
         virtual_io.on_method(self._use_method)
@@ -463,31 +451,44 @@ def _beside(process: ProcessSettings) -> Callable[[Make], PendingModel]:
     return ThreadPoolExecutor(1, "new-model", initializer=right_behind, initargs=(process.priority,)).submit
 
 
-def twin(setup: TwinSetup) -> HostedDevices:
-    """Devices of the virtual axes and the virtual I/O, with the simulation that drives them."""
-    model = setup.model
-    warm_up(model, setup.twin, setup.shape, setup.cycle_s)
-    devices = [Device(shared_eds(node.eds, node.node_id), node.node_id, setup.clock) for node in setup.virtual_axes]
-    io_node = setup.virtual_io
-    io_device = Device(shared_eds(io_node.eds, io_node.node_id), io_node.node_id, setup.clock)
-    virtual_io = VirtualIo(
-        io_device, machine_part(model.kind, "topology").process_data(setup.shape), boundary(model, setup.shape)
+def twin_config(config: BenchConfig) -> TwinConfig:
+    """Twin config, with probing-step evaluation if the bench makes probes."""
+    twin = config.twin
+    probes = any(control.probes.mode != "off" for control in config.tension_controls.values())
+    if not probes or twin.known_change is not None:
+        return twin
+    alone, behind = config.shape.spans == 1, list(config.drives.values())[1]
+    deviation_pct = _SIMULATED_LOOP_PCT if alone and behind.simulated else None
+    return twin.model_copy(update={"known_change": KnownChangeConfig(loop_gain_deviation_pct=deviation_pct)})
+
+
+def twin(config: BenchConfig, clock: Clock | None = None) -> HostedDevices:
+    """Devices of the virtual axes and the virtual I/O, with the simulation that drives them; `clock`: time base of the
+    devices, that of the config's pace unless given."""
+    model, shape, cycle_s, of_twin = config.machine, config.shape, config.cycle_time_s, twin_config(config)
+    clock, process = clock or device_clock(config), config.process_settings("twin")
+    warm_up(model, of_twin, shape, cycle_s)
+    parts = config.parts_of(Role.VIRTUAL_AXIS)
+    *devices, io_device = (
+        Device(shared_eds(node.eds, node.node_id), node.node_id, clock)
+        for node in (*(part.node for part in parts), config.twin.node)
     )
+    virtual_io = VirtualIo(io_device, machine_part(model.kind, "topology").process_data(shape), boundary(model, shape))
 
     def make(effects: str) -> Make:
         changed = with_effects(model, effects)
-        return lambda: new_machine(changed, setup.twin, setup.shape, setup.cycle_s, virtual_io.boundary_inputs)
+        return lambda: new_machine(changed, of_twin, shape, cycle_s, virtual_io.boundary_inputs)
 
     beside = None
-    if setup.process is not None:
-        beside = _beside(setup.process)
+    if process is not None:
+        beside = _beside(process)
         make("[]")  # the first validation of a model is slow
-    machine = ModelSwitcher(make, setup.cycle_s, beside)
+    machine = ModelSwitcher(make, cycle_s, beside)
     drives = [
-        SimulatedDrive(device, port, node.units)
-        for device, port, node in zip(devices, machine.ports, setup.virtual_axes, strict=True)
+        SimulatedDrive(device, port, declared_units(part, shared_eds(part.node.eds, part.node.node_id)))
+        for device, port, part in zip(devices, machine.ports, parts, strict=True)
     ]
-    application = TwinApplication(setup, machine, drives, io_device, virtual_io)
+    application = TwinApplication(config, clock, machine, drives, io_device, virtual_io)
 
     def on_nmt(state: NmtState) -> None:
         if state is NmtState.INITIALISING:
@@ -498,4 +499,4 @@ def twin(setup: TwinSetup) -> HostedDevices:
             application.start()
 
     io_device.on_nmt = on_nmt
-    return HostedDevices([*devices, io_device], setup.clock, application)
+    return HostedDevices([*devices, io_device], clock, application)

@@ -17,8 +17,7 @@ from hilbench.processes import log, started_by_bench, stop_request
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.fast_path_run import TwinFastCycle
 from hilbench.twin.machines.kinds import warm_up
-from hilbench.twin.process import TwinApplication, TwinSetup, twin
-from hilbench.twin.setup import twin_setup
+from hilbench.twin.process import TwinApplication, twin
 
 
 def run(config: BenchConfig) -> int | None:
@@ -29,10 +28,9 @@ def run(config: BenchConfig) -> int | None:
     """
     stop = stop_request()
     with nodes_of_ours(config.bus_address, config.virtual_nodes, "twin", by_bench=started_by_bench()):
-        setup = twin_setup(config)
-        hosted = twin(setup)
-        fast_path = partial(fast_path_host, hosted=hosted, setup=setup)
-        return run_devices(setup.bus, hosted, fast_path, setup.process, stop, log)
+        hosted = twin(config)
+        fast_path = partial(fast_path_host, hosted=hosted)
+        return run_devices(config.bus_address, hosted, fast_path, config.process_settings("twin"), stop, log)
 
 
 def load(config: BenchConfig) -> None:
@@ -42,7 +40,7 @@ def load(config: BenchConfig) -> None:
         warm_up_packets()
 
 
-def fast_path_host(host: DeviceHost, link: Link, hosted: HostedDevices, setup: TwinSetup) -> FastPathHost | None:
+def fast_path_host(host: DeviceHost, link: Link, hosted: HostedDevices) -> FastPathHost | None:
     """Fast-path host of the twin's devices on the embedded bus in lockstep, else None."""
     devices, clock, application = hosted.devices, hosted.clock, hosted.application
     if not isinstance(link, EmbeddedLink) or not isinstance(clock, SyncClock):

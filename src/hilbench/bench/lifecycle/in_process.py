@@ -26,7 +26,6 @@ from hilbench.in_process_cycle.cycles import FastPathCycles
 from hilbench.in_process_cycle.wiring import InOneProcess, Served
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.process import TwinApplication, twin
-from hilbench.twin.setup import twin_setup
 
 MakeFastPathCycles = Callable[[SyncCycle, MasterNode], FastPathCycles | None]
 #: Period of serving the devices while nothing is sent: their timers run by the wall clock then.
@@ -42,7 +41,7 @@ class InProcess:
         FastPathCycles.warm_up()
         warm_up_in_modes(config)
         by_sync = config.model_copy(update={"pace": "lockstep"})
-        self._hosted = hardware(by_sync), twin(twin_setup(by_sync))
+        self._hosted = hardware(by_sync), twin(by_sync)
         self._links = [self.bus.open_link() for _ in self._hosted]
         self._own_hosts = [DeviceHost(link, *hosted) for link, hosted in zip(self._links, self._hosted, strict=True)]
         self._hosts = list(self._own_hosts)
