@@ -18,7 +18,6 @@ from hilbench.can.frame import Frame
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.errors import BenchFaultError, EmergencyStopError
 from hilbench.exchange.addressing import drive_settings
-from hilbench.exchange.nodes import Nodes
 from hilbench.hardware import simulation
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.runs.check import check_experiment
@@ -207,10 +206,7 @@ def test_the_slowest_axis_sets_the_ramp_of_all(tmp_path: Path) -> None:
     config = line(tmp_path, heavy).config
     assert config.quick_stop_per_s2 == pytest.approx(0.8 * 9.0 * 5.0 / 0.2 / mass_kg)
     assert config.quick_stop_per_s2 < line(tmp_path).config.quick_stop_per_s2 == 3.0
-    written = {
-        part.name: drive_settings(config, part, Nodes(config).dictionary(part.name)).parameters[0x6085, 0]
-        for part in config.parts_of(Role.AXIS)
-    }
+    written = {part.name: drive_settings(config, part).parameters[0x6085, 0] for part in config.parts_of(Role.AXIS)}
     assert len(set(written.values())) == 1
     assert any("axis 3" in note and "quick stop" in note for note in check_experiment(line(tmp_path, heavy)).notes)
 

@@ -15,7 +15,6 @@ from hilbench.cia402.objects import OperationMode
 from hilbench.diagnosis.measured import measured_from
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.addressing import drive_settings
-from hilbench.exchange.nodes import Nodes
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import LoadedConfig, load_with_overrides
@@ -35,9 +34,8 @@ def run(folder: Path, *changes: str) -> RunOutcome:
 
 def test_real_and_virtual_drives_of_the_reels_are_configured_for_torques_the_others_for_speeds(tmp_path: Path) -> None:
     config = given(tmp_path).config
-    nodes = Nodes(config)
     for role in (Role.AXIS, Role.VIRTUAL_AXIS):
-        modes = [drive_settings(config, part, nodes.dictionary(part.name)).mode for part in config.parts_of(role)]
+        modes = [drive_settings(config, part).mode for part in config.parts_of(role)]
         torque, velocity = OperationMode.CYCLIC_SYNCHRONOUS_TORQUE, OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY
         assert modes == [torque, velocity, torque]
 

@@ -14,14 +14,15 @@ from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402.configuration import default_reader
 from hilbench.cia402.drive import DriveGoal
 from hilbench.cia402.units import DriveUnits
+from hilbench.exchange.addressing import dictionary_of
 from hilbench.exchange.nodes import Nodes
 from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Part, Role
 from performance.table import Section, best_cpu_s
 
 _ENABLED = 0x0237  #: statusword of OPERATION ENABLED
 _CYCLES = 2000
 _TIMES = 7
-_PARTS = ("axis1", "axis2", "load")
 
 
 class _NoBus(can.BusABC):
@@ -43,9 +44,9 @@ def measure(config: BenchConfig) -> Section:
         "drives and their supervision.",
     )
     nodes = _nodes(config)
-    tpdos = [pdo for part in (*_PARTS, "virtual_io") for pdo in nodes.pdo_maps(part) if pdo.cob_id in _answers(nodes)]
+    tpdos = [pdo for part in _parts(nodes) for pdo in nodes.pdo_maps(part.name) if pdo.cob_id in _answers(nodes)]
     tpdos = [pdo for pdo in tpdos if pdo.period == 1]
-    rpdos = [*(nodes.pdo_maps(part)[0] for part in _PARTS), *nodes.io.boundary]
+    rpdos = [*(drive.pdos.rpdo for drive in nodes.drives), *nodes.io.boundary]
     frames = [Frame(pdo.cob_id, _data(pdo)) for pdo in tpdos]
     decoders = {pdo.cob_id: pdo.unpack for pdo in tpdos}
     values = [pdo.unpack(bytes(pdo.size)) for pdo in rpdos]
@@ -85,10 +86,15 @@ def _growth_bytes(task: Any) -> float:
 
 def _nodes(config: BenchConfig) -> Nodes:
     nodes = Nodes(config)
-    for part, drive in zip(_PARTS, nodes.drives, strict=True):
-        drive.units = DriveUnits.from_objects(default_reader(nodes.dictionary(part)), {}, part)
+    for drive in nodes.drives:
+        drive.units = DriveUnits.from_objects(default_reader(drive.od), {}, drive.settings.name)
         drive.request(DriveGoal.ENABLED)
     return nodes
+
+
+def _parts(nodes: Nodes) -> list[Part]:
+    """Parts that answer the bench: the drives, and the virtual I/O."""
+    return [part for part in nodes.config.parts if part.role is not Role.VIRTUAL_AXIS]
 
 
 def _answers(nodes: Nodes) -> set[int]:
@@ -104,18 +110,17 @@ def _canopen(nodes: Nodes, tpdos: list[PdoMap], rpdos: list[PdoMap], frames: lis
     """The same by canopen: `Network.notify` dispatches, a variable's `raw` decodes and encodes, `transmit` sends."""
     bus = _NoBus()
     network = canopen.Network(bus=bus)
-    parts = {
-        part.name: canopen.RemoteNode(part.node.node_id, nodes.dictionary(part.name)) for part in nodes.config.parts
-    }
-    for node in parts.values():
+    parts = _parts(nodes)
+    remote = [canopen.RemoteNode(part.node.node_id, dictionary_of(part)) for part in parts]
+    for node in remote:
         network.add_node(node)
     read, write = [], []
-    for part in (*_PARTS, "virtual_io"):
-        mine = nodes.pdo_maps(part)
+    for part, node in zip(parts, remote, strict=True):
+        mine = nodes.pdo_maps(part.name)
         for place, pdo in enumerate([pdo for pdo in tpdos if pdo in mine], 1):
-            read += _mapped(parts[part].tpdo[place], pdo, subscribe=True)
-    for part, pdo in zip((*_PARTS, "virtual_io"), rpdos, strict=True):
-        there = parts[part].rpdo[1]
+            read += _mapped(node.tpdo[place], pdo, subscribe=True)
+    for node, pdo in zip(remote, rpdos, strict=True):
+        there = node.rpdo[1]
         write.append((there, _mapped(there, pdo, subscribe=False)))
 
     def task() -> None:

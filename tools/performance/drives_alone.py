@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import canopen
-from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402.configuration import DriveSettings
 from hilbench.exchange.addressing import IoMaps, drive_settings
@@ -27,12 +25,11 @@ class _Nothing(IoMaps):
 
 def drives_alone(config: BenchConfig, *, velocity: bool) -> Nodes:
     """Each drive with the TPDOs that a bench maps, or, without `velocity`, with the first."""
-    node = config.twin.node
-    status = IoMaps.of(config, shared_eds(node.eds, node.node_id)).status
+    status = IoMaps.of(config).status
     nothing = _Nothing(ProcessData((), (), (), ()), (), status, ())
     return Nodes(config, io=nothing, settings_of=drive_settings if velocity else _without_velocity)
 
 
-def _without_velocity(config: BenchConfig, part: Part, od: canopen.ObjectDictionary) -> DriveSettings:
-    settings = drive_settings(config, part, od)
+def _without_velocity(config: BenchConfig, part: Part) -> DriveSettings:
+    settings = drive_settings(config, part)
     return settings if part.role is Role.VIRTUAL_AXIS else replace(settings, has_velocity=False)

@@ -25,6 +25,7 @@ from hilbench.canopen.master import Master
 from hilbench.canopen.object_store import ObjectStore
 from hilbench.cia402.drive import DriveGoal
 from hilbench.errors import BenchFaultError
+from hilbench.exchange.addressing import dictionary_of
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.pacing import Pacing
@@ -140,7 +141,7 @@ def _three_drives(config: BenchConfig, seconds: float, *, velocity: bool) -> Sec
         said_before_s = time.monotonic() + _SAID_BEFORE_S
         while time.monotonic() < said_before_s:
             link.receive(0.02)
-        exchange = Exchange(nodes, link, ObjectStore(nodes.dictionary(config.parts[0].name)), producer=producer)
+        exchange = Exchange(nodes, link, ObjectStore(dictionary_of(config.parts[0])), producer=producer)
 
         def run(duration_s: float = seconds) -> None:
             for _ in range(round(duration_s / _FAST_S)):

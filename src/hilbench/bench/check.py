@@ -9,12 +9,11 @@ from math import isclose
 from hilbench.bench.bus_options import BusOptions, bus_options
 from hilbench.bench.schedule import Slot, schedule
 from hilbench.can.load import BusLoad, cycle_load
-from hilbench.canopen.eds import shared_eds
 from hilbench.cia402.axis import axes, object_of, of_first_axis
 from hilbench.cia402.configuration import lacking
 from hilbench.cia402.objects import CONTROLWORD
 from hilbench.errors import UnusableInputError
-from hilbench.exchange.addressing import declared_units, drive_settings
+from hilbench.exchange.addressing import declared_units, dictionary_of, drive_settings
 from hilbench.exchange.nodes import Nodes
 from hilbench.machine_kinds import machine_part
 from hilbench.plant.fmu.axis import FmuAxisParameters
@@ -96,8 +95,7 @@ def _of_axis(entry: int) -> tuple[int, int]:
 def _check_axes(config: BenchConfig, document: Document) -> None:
     """The EDS file of each drive has the axis of the node that it is."""
     for part in config.parts_of(Role.AXIS) + config.parts_of(Role.LOAD_MOTOR):
-        od = shared_eds(part.node.eds, part.node.node_id)
-        there = axes(od.__contains__)
+        there = axes(dictionary_of(part).__contains__)
         if part.node_axis > 1 and part.node_axis not in there:
             raise UnusableInputError(
                 document.place((*part.location, "axis")),
@@ -109,14 +107,12 @@ def _check_axes(config: BenchConfig, document: Document) -> None:
 def _check_drives(config: BenchConfig, document: Document, nodes: Nodes) -> None:
     """Check that every drive has the objects needed, and that a virtual axis can decode its axis's RPDOs."""
     for part in config.parts:
-        od = nodes.dictionary(part.name)
-        missing = lacking(drive_settings(config, part, od), od) if part.role is not Role.VIRTUAL_IO else []
-        if missing:
+        if part.role is not Role.VIRTUAL_IO and (missing := lacking(drive_settings(config, part), dictionary_of(part))):
             raise UnusableInputError(document.place(part.location), f"the EDS lacks {'; '.join(missing)}")
     if config.mirroring != "listen":
         return
     for real, virtual in zip(config.parts_of(Role.AXIS), config.parts_of(Role.VIRTUAL_AXIS), strict=True):
-        ours, theirs = (declared_units(part, nodes.dictionary(part.name)).velocity_rad_s for part in (real, virtual))
+        ours, theirs = (declared_units(part).velocity_rad_s for part in (real, virtual))
         mapped, received_back = (
             [_of_axis(entry) for entry in nodes.pdo_maps(part.name)[0].mapping] for part in (real, virtual)
         )

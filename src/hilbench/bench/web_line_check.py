@@ -88,7 +88,7 @@ def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
     model, notes = config.web_line, []
     for part in config.parts_of(Role.AXIS):
         axis = part.axis or 1
-        units = declared_units(part, nodes.dictionary(part.name))
+        units = declared_units(part)
         rad_per_m = model.motor_rad_per_m(axis)
         beside, coarse_N = spans_beside(model, axis), _COARSE * machine_sizes(model, axis).force_N
         stiffest_N_per_m = max(model.stiffness_N(span) / model.span_length_m(span) for span in beside)

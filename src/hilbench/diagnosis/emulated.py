@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from hilbench.canopen.eds import shared_eds
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.addressing import declared_units
@@ -29,7 +28,7 @@ def emulation_of(config: BenchConfig) -> AnyEmulation | None:
 def _resolution(config: BenchConfig, axis: int) -> float:
     """Resolution of an axis's velocity command in its drive, in the machine's unit of position per s."""
     part = config.parts_of(Role.AXIS)[axis - 1]
-    units = declared_units(part, shared_eds(part.node.eds, part.node.node_id))
+    units = declared_units(part)
     return units.velocity_rad_s / config.machine.motor_rad_per_unit(axis)
 
 

@@ -13,7 +13,7 @@ from hilbench.cia402 import objects
 from hilbench.cia402.axis import object_of, rpdo_identifier
 from hilbench.cia402.configuration import DriveSettings, RpdoCopy, default_reader
 from hilbench.cia402.objects import OperationMode
-from hilbench.cia402.units import DriveUnits
+from hilbench.cia402.units import DriveUnits, ObjectReader
 from hilbench.machine_kinds import machine_part
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
@@ -34,9 +34,11 @@ class IoMaps:
     boundary: tuple[PdoMap, ...]
 
     @classmethod
-    def of(cls, config: BenchConfig, od: canopen.ObjectDictionary) -> IoMaps:
+    def of(cls, config: BenchConfig) -> IoMaps:
         """The maps by the EDS of the virtual I/O. Raises KeyError or ValueError for what it lacks."""
         data = machine_part(config.machine.kind, "topology").process_data(config.shape)
+        (part,) = config.parts_of(Role.VIRTUAL_IO)
+        od = dictionary_of(part)
 
         def pdo_map(cob_id: int, pdo: IoPdo, indices: range) -> PdoMap:
             names = [f"0x{signal.index:04X}sub{signal.sub:X}" for signal in pdo.signals]
@@ -92,13 +94,14 @@ def device_clock(config: BenchConfig) -> Clock:
     return SyncClock(config.cycle_ns, kept_by=HEARTBEAT + config.master.node_id if config.master.heartbeat_ms else None)
 
 
-def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary) -> DriveSettings:
+def drive_settings(config: BenchConfig, part: Part) -> DriveSettings:
     """Settings with which the bench configures a drive, real or virtual."""
     assert part.axis is not None, "the virtual I/O is no drive"
+    od = dictionary_of(part)
     node, virtual, load = part.node, part.role is Role.VIRTUAL_AXIS, part.role is Role.LOAD_MOTOR
     torqued = load or part.axis in config.shape.torqued
     rad_per_unit = config.machine.motor_rad_per_unit(part.axis)
-    units = declared_units(part, od)
+    units = declared_units(part)
     deceleration = round(config.quick_stop_per_s2 * rad_per_unit / units.acceleration_rad_s2)
     values = {
         objects.QUICK_STOP_DECELERATION: deceleration,
@@ -131,16 +134,24 @@ def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary
 
 def _copy_for(virtual: Part, units: DriveUnits, *, torqued: bool) -> RpdoCopy:
     """The copy of an axis' RPDO for its virtual axis, whose units may be others."""
-    node_id = virtual.node.node_id
-    theirs = declared_units(virtual, shared_eds(virtual.node.eds, node_id))
+    theirs = declared_units(virtual)
     factor = units.torque_Nm / theirs.torque_Nm if torqued else units.velocity_rad_s / theirs.velocity_rad_s
-    return RpdoCopy(rpdo_identifier(node_id, virtual.node_axis), factor)
+    return RpdoCopy(rpdo_identifier(virtual.node.node_id, virtual.node_axis), factor)
 
 
-def declared_units(part: Part, od: canopen.ObjectDictionary) -> DriveUnits:
+def dictionary_of(part: Part) -> canopen.ObjectDictionary:
+    """Object dictionary of a part by its EDS file, shared and not to be changed. Raises UnusableInputError."""
+    return shared_eds(part.node.eds, part.node.node_id)
+
+
+def declared_objects(part: Part) -> ObjectReader:
+    """Reader of a drive's objects by its EDS file and the config."""
+    return default_reader(dictionary_of(part), part.node.writes, part.node_axis)
+
+
+def declared_units(part: Part) -> DriveUnits:
     """Units of a drive by its EDS file and the config; the device itself is read when it is configured."""
-    read = default_reader(od, part.node.writes, part.node_axis)
-    return DriveUnits.from_objects(read, part.node.unit_overrides, part.name)
+    return DriveUnits.from_objects(declared_objects(part), part.node.unit_overrides, part.name)
 
 
 def _master_heartbeat(config: BenchConfig, virtual: bool) -> tuple[int, int] | None:

@@ -13,9 +13,9 @@ from functools import partial
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
 from hilbench.canopen.device import Cell, Device
-from hilbench.canopen.eds import shared_eds
 from hilbench.cia402.axis import objects_behind
 from hilbench.errors import UnusableValueError
+from hilbench.exchange.addressing import dictionary_of
 from hilbench.plant.effect import Effect, EffectPlace, MachineKind
 from hilbench.plant.effects import effects_of, find_effect
 from hilbench.topology.config import BenchConfig
@@ -45,7 +45,7 @@ def effect_place(config: BenchConfig, path: str) -> tuple[int, int, int]:
     part = config.parts_of(Role.AXIS)[of.axis - 1]
     index, sub = effect_object(of.effect, of.parameter, config.machine_kind)
     index += objects_behind(part.node_axis)
-    od = shared_eds(part.node.eds, part.node.node_id)
+    od = dictionary_of(part)
     if not _is_effect(od.get(index), find_effect(of.effect, config.machine_kind)):
         found = repr(od[index].name) if index in od else "nothing"
         raise UnusableValueError(

@@ -24,7 +24,7 @@ from hilbench.canopen.identifiers import MAPPING
 from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.cia402 import configuration, objects
 from hilbench.cia402.axis import MOST_AXES, is_of, object_of, of_first_axis
-from hilbench.exchange.addressing import drive_settings
+from hilbench.exchange.addressing import dictionary_of, drive_settings
 from hilbench.exchange.nodes import ForEachNode
 from hilbench.json_file import JsonFile
 from hilbench.topology.config import BenchConfig
@@ -112,10 +112,10 @@ def ask_all(
 
 def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes | None]:
     """Read the objects of one drive; empty when it does not answer."""
-    od = shared_eds(part.node.eds, part.node.node_id)
+    od = dictionary_of(part)
     found: dict[Key, bytes | None] = {}
-    wanted = [*DEVICE, *_parameters(config, part, od)]
-    pdos = [index for index in _pdos(config, part, od) if index in od]
+    wanted = [*DEVICE, *_parameters(config, part)]
+    pdos = [index for index in _pdos(config, part) if index in od]
     for communication in pdos:
         wanted += [(communication, 1), (communication, 2), (communication + MAPPING, 0)]
     for index, sub in wanted:
@@ -131,17 +131,17 @@ def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes |
     return found
 
 
-def _pdos(config: BenchConfig, part: Part, od: ObjectDictionary) -> list[int]:
+def _pdos(config: BenchConfig, part: Part) -> list[int]:
     """Communication parameters of the PDOs that a drive's part has."""
-    return [pdo.communication for pdo in configuration.drive_pdos(drive_settings(config, part, od), od).all]
+    pdos = configuration.drive_pdos(drive_settings(config, part), dictionary_of(part))
+    return [pdo.communication for pdo in pdos.all]
 
 
 def _writes_of(
     config: BenchConfig, part: Part, written: Mapping[tuple[int, int, int], bytes]
 ) -> Iterator[tuple[Key, bytes]]:
     """What was written to a part; of the PDOs of its node those that it has."""
-    od = shared_eds(part.node.eds, part.node.node_id)
-    own = {index + behind for index in _pdos(config, part, od) for behind in (0, MAPPING)}
+    own = {index + behind for index in _pdos(config, part) for behind in (0, MAPPING)}
     for (node_id, index, sub), data in written.items():
         if node_id != part.node.node_id:
             continue
@@ -149,12 +149,12 @@ def _writes_of(
             yield (index, sub), data
 
 
-def _parameters(config: BenchConfig, part: Part, od: ObjectDictionary) -> list[Key]:
+def _parameters(config: BenchConfig, part: Part) -> list[Key]:
     """The objects that units follow from, and those that are written."""
-    written = drive_settings(config, part, od).parameters
+    written = drive_settings(config, part).parameters
     return [
         (each.index, each.subindex)
-        for each in eds.all_variables(od)
+        for each in eds.all_variables(dictionary_of(part))
         if is_of(part.node_axis, each.index)
         and (
             (each.index in UNITS and each.readable)

@@ -8,10 +8,8 @@ from itertools import chain
 from math import isclose
 from typing import Any, Final
 
-import canopen
 from hilbench.can.frame import Frame
 from hilbench.can.load import CyclicFrame
-from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, LAST_NODE, SYNC, NmtCommand, NmtState
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap
@@ -22,7 +20,7 @@ from hilbench.cia402.drive import Drive
 from hilbench.cia402.state_machine import Command, State, decode_statusword
 from hilbench.compiled import interpreted
 from hilbench.errors import BenchFaultError
-from hilbench.exchange.addressing import IoMaps, declared_units, drive_settings
+from hilbench.exchange.addressing import IoMaps, declared_units, dictionary_of, drive_settings
 from hilbench.exchange.answers import Tpdo
 from hilbench.exchange.effect_objects import effect_place
 from hilbench.exchange.emergencies import Emergency, EmergencyInbox
@@ -49,8 +47,8 @@ _ENABLE = (0x06, 0x07, 0x0F)
 _FOLLOWS: Final = Command.ENABLE_OPERATION.value
 
 
-#: How a part of a bench, by its EDS file, is configured.
-SettingsOf = Callable[[BenchConfig, Part, canopen.ObjectDictionary], DriveSettings]
+#: How a part of a bench is configured.
+SettingsOf = Callable[[BenchConfig, Part], DriveSettings]
 #: Like `map` or `Executor.map`: results in node order; the first failure in this order is raised.
 ForEachNode = Callable[..., Iterator[Any]]
 
@@ -68,14 +66,14 @@ class Nodes:
         self.config = config
         #: Name of the virtual I/O in messages and in `expected_pdos`.
         self.twin_name = f"virtual io (node {config.twin.node.node_id})"
-        parts = config.parts
-        self._ods = {part.name: shared_eds(part.node.eds, part.node.node_id) for part in parts}
+        on_nodes = config.parts_by_node
+        self._ods = {node_id: dictionary_of(there[0]) for node_id, there in on_nodes.items()}
         self.axes, self.load_motors, self.virtual_axes = (
-            tuple(Drive(settings_of(config, part, self._ods[part.name]), self._ods[part.name]) for part in group)
+            tuple(Drive(settings_of(config, part), self._ods[part.node.node_id]) for part in group)
             for group in map(config.parts_of, (Role.AXIS, Role.LOAD_MOTOR, Role.VIRTUAL_AXIS))
         )
         self.drives = (*self.axes, *self.load_motors)  #: the real (or simulated) drives: the axes, then the load motors
-        self.io = io or IoMaps.of(config, self._ods["virtual_io"])
+        self.io = io or IoMaps.of(config)
         self.boundary_names = tuple(signal.name for signal in self.io.data.boundary_inputs)
         self._boundary_values = [
             (pdo, tuple(signal.name for signal in content.signals))
@@ -89,7 +87,6 @@ class Nodes:
             *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), factors, strict=True),
             *((drive, name, 1.0) for drive, name in zip(self.load_motors, config.load_motors, strict=True)),
         ]
-        on_nodes = config.parts_by_node
         self._known = {node_id: " and ".join(part.label for part in there) for node_id, there in on_nodes.items()}
         self._simulated_axes = {
             (node_id, part.node_axis): part.label
@@ -97,7 +94,6 @@ class Nodes:
             for part in there
             if len(there) > 1 and part.is_simulated
         }
-        self._ods_of_nodes = {node_id: self._ods[there[0].name] for node_id, there in on_nodes.items()}
         self._master: Master | None = None
         self._shown_by = self._drive_signals()
         #: What drives and twin have answered.
@@ -168,18 +164,11 @@ class Nodes:
         """EMCY messages of this cycle in order, with the count of each."""
         return self._inbox.messages
 
-    def dictionary(self, part: str) -> canopen.ObjectDictionary:
-        """Object dictionary of a part from its EDS file, by the part's name."""
-        return self._ods[part]
-
     def pdo_maps(self, part: str) -> list[PdoMap]:
         """The PDOs of a part that the bench maps, by its name."""
-        if part == "virtual_io":
-            return self.io.all
-        place = self.config.part(part)
-        address, drives = (place.node.node_id, place.node_axis), (*self.drives, *self.virtual_axes)
-        found = next(drive for drive in drives if (drive.settings.node_id, drive.settings.axis) == address)
-        return [*found.pdos.all]
+        of_parts = (*(drive.pdos.all for drive in (*self.drives, *self.virtual_axes)), self.io.all)
+        names = [each.name for each in self.config.parts]
+        return [*of_parts[names.index(part)]]
 
     # -- configuration -----------------------------------------------------------------------------------
 
@@ -189,9 +178,9 @@ class Nodes:
         rpdos = {cob_id: self.sender(drive) for drive in self.drives for cob_id in drive.rpdo_cob_ids}
         rpdos |= {pdo.cob_id: self.twin_name for pdo in self.io.boundary}
         our_id = self.config.master.node_id
-        self._watch = UnexpectedSenders(our_id, self._known, self._ods_of_nodes, rpdos, master.sent.take)
+        self._watch = UnexpectedSenders(our_id, self._known, self._ods, rpdos, master.sent.take)
         for node_id, names in self._known.items():
-            master.add(node_id, self._ods_of_nodes[node_id], names)
+            master.add(node_id, self._ods[node_id], names)
 
     def configure_drives(self, master: Master, for_each_node: ForEachNode = map) -> None:
         """Configure axes and load motors by SDO. Raises BenchFaultError naming node, object and reason."""
@@ -208,7 +197,7 @@ class Nodes:
 
     def _check_units(self, part: Part, drive: Drive) -> None:
         """Check that the device has the units of its EDS file, which the twin and the mirrored set points rely on."""
-        declared = declared_units(part, self._ods[part.name])
+        declared = declared_units(part)
         for name in ("position_rad", "velocity_rad_s", "torque_Nm"):
             found, expected = getattr(drive.units, name), getattr(declared, name)
             if not isclose(found, expected, rel_tol=1e-6):
@@ -533,7 +522,7 @@ class Nodes:
     def twin_found(self) -> str:
         """Errors of its model that the twin has estimated (JSON, `hilbench.twin.estimated_errors`); "": none
         reported."""
-        if _TWIN_FOUND[0] not in self._ods["virtual_io"]:
+        if _TWIN_FOUND[0] not in self._ods[self.config.twin.node.node_id]:
             return ""
         return str(self._sdo().sdo_read(self.config.twin.node.node_id, *_TWIN_FOUND))
 

@@ -28,7 +28,7 @@ def pdo_set_dbc(config: BenchConfig) -> str:
         if part.role is Role.VIRTUAL_IO:
             signals = _process_data(config)
         else:
-            units = declared_units(part, nodes.dictionary(part.name))
+            units = declared_units(part)
         for pdo in nodes.pdo_maps(part.name):
             # A virtual axis listens to the RPDO of its real axis: one frame, two receivers.
             messages.setdefault(pdo.cob_id, _message(part.name, pdo, units, signals))

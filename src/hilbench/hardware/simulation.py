@@ -12,12 +12,11 @@ from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.canopen.clock import Clock, MonotonicClock, SyncClock
 from hilbench.canopen.device import Device
-from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.master_guard import nodes_of_ours
 from hilbench.canopen.object_store import INVALID_VALUE, SdoAbort
 from hilbench.cia402.simulated import SimulatedDrive
-from hilbench.exchange.addressing import declared_units, device_clock
+from hilbench.exchange.addressing import declared_units, device_clock, dictionary_of
 from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.fast_path.host import FastPathHost, PacketRun, run_devices, warm_up_packets
 from hilbench.fast_path.host_cycle import RigFastCycle, SyncAnswers
@@ -152,13 +151,12 @@ def hardware(config: BenchConfig) -> HostedDevices:
         if not part.is_simulated:
             continue
         node_id = part.node.node_id
-        od = shared_eds(part.node.eds, node_id)
         if node_id not in devices:
-            devices[node_id] = Device(od, node_id, clock)
+            devices[node_id] = Device(dictionary_of(part), node_id, clock)
             for note in devices[node_id].left_out.values():
                 log(f"{part.label} (node {node_id}): {note}")
         device = devices[node_id]
-        drives.append(SimulatedDrive(device, port, declared_units(part, od), axis=part.node_axis))
+        drives.append(SimulatedDrive(device, port, declared_units(part), axis=part.node_axis))
         if part.role is Role.AXIS and part.axis is not None:
             bind_effect_objects(device, _effect_setter(rig, part.axis), config.machine_kind, part.node_axis)
     application = RigApplication(drives, ports, rig, time, config.cycle_time_s, rig.lock_to)

@@ -6,12 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf
 
-from hilbench.canopen.eds import shared_eds
 from hilbench.cia402 import objects
 from hilbench.cia402.assumed import MAX_TORQUE
-from hilbench.cia402.configuration import default_reader
 from hilbench.cia402.units import RPM
-from hilbench.exchange.addressing import declared_units
+from hilbench.exchange.addressing import declared_objects, declared_units
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.metrics import metrics_of
@@ -59,8 +57,7 @@ def drive_warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
 
 
 def _allowed(config: ExperimentConfig, part: Part) -> _Allowed:
-    od = shared_eds(part.node.eds, part.node.node_id)
-    read, units = default_reader(od, part.node.writes, part.node_axis), declared_units(part, od)
+    read, units = declared_objects(part), declared_units(part)
     rad_per_unit = config.machine.motor_rad_per_unit(part.axis or 1)
 
     def limit(index: int, unit_rad: float) -> float:
@@ -76,18 +73,16 @@ def _allowed(config: ExperimentConfig, part: Part) -> _Allowed:
 
 def max_motor_speed_rpm(part: Part) -> float:
     """6080h of a drive; inf without it."""
-    read = default_reader(shared_eds(part.node.eds, part.node.node_id), part.node.writes, part.node_axis)
-    return float(read(objects.MAX_MOTOR_SPEED, 0) or inf)
+    return float(declared_objects(part)(objects.MAX_MOTOR_SPEED, 0) or inf)
 
 
 def torque_limit_Nm(config: ExperimentConfig, part: Part) -> float:
     """Torque limit of an axis's drive: its motor's in the machine's model, or less by 6072h or the simulated one."""
-    od = shared_eds(part.node.eds, part.node.node_id)
-    limit = default_reader(od, part.node.writes, part.node_axis)(objects.MAX_TORQUE, 0)
+    limit = declared_objects(part)(objects.MAX_TORQUE, 0)
     if limit is None or (not limit and not part.is_simulated):  # a real drive has another one stored
         limit = MAX_TORQUE if part.is_ours else inf
     of_motor_Nm = per_item(config.drive_parameters.torque_limit_Nm, part.axis or 1)
-    return min(of_motor_Nm, limit * declared_units(part, od).torque_Nm)
+    return min(of_motor_Nm, limit * declared_units(part).torque_Nm)
 
 
 def beyond(at: str, what: str, value: float, limit: Limit, unit: str) -> Iterator[str]:

@@ -359,10 +359,6 @@ class BenchConfig(Block):
             for axis, (name, node) in drives
         )
 
-    def part(self, name: str) -> Part:
-        """The node of a name. Raises KeyError for none."""
-        return {part.name: part for part in self.parts}[name]
-
     @property
     def shape(self) -> Shape:
         """Multiplicities of the machine's parts."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from hilbench.canopen.eds import shared_eds
 from hilbench.cia402 import objects
 from hilbench.cia402.axis import mapped_objects
 from hilbench.cia402.configuration import DriveSettings, drive_pdos
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.units import UnwrappingCounter
-from hilbench.exchange.addressing import declared_units
+from hilbench.exchange.addressing import declared_units, dictionary_of
 from hilbench.topology.parts import Part
 
 
@@ -16,16 +15,16 @@ class AxisListener:
     """Decoder of the TPDO1 of one real axis by its EDS."""
 
     def __init__(self, axis: Part, cycle_s: float) -> None:
-        od, node_id = shared_eds(axis.node.eds, axis.node.node_id), axis.node.node_id
+        node_id = axis.node.node_id
         mode = OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY
         settings = DriveSettings(f"axis of node {node_id}", node_id, mode, cycle_s, axis=axis.node_axis)
-        self.pdo = pdo = drive_pdos(settings, od).tpdos[0]
+        self.pdo = pdo = drive_pdos(settings, dictionary_of(axis)).tpdos[0]
         self.cob_id = pdo.cob_id
         self.size = pdo.size  #: bytes of the frame's data
         indices = mapped_objects(pdo)
         self.position = indices.index(objects.POSITION_ACTUAL_VALUE)  #: index in the PDO, as the next
         self.torque = indices.index(objects.TORQUE_ACTUAL_VALUE)
-        self.units = declared_units(axis, od)
+        self.units = declared_units(axis)
         self.counter = UnwrappingCounter()
 
     def decode(self, data: bytes) -> tuple[float, float]:

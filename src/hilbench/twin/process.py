@@ -11,13 +11,12 @@ from functools import partial
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import Clock, SyncClock
 from hilbench.canopen.device import Device, SdoAbort
-from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.identifiers import NmtState
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.estimation.web_line.config import KnownChangeConfig
-from hilbench.exchange.addressing import declared_units, device_clock
+from hilbench.exchange.addressing import declared_units, device_clock, dictionary_of
 from hilbench.machine_kinds import machine_part
 from hilbench.plant.motor_port import MotorMode
 from hilbench.processes import log
@@ -469,10 +468,8 @@ def twin(config: BenchConfig, clock: Clock | None = None) -> HostedDevices:
     clock, process = clock or device_clock(config), config.process_settings("twin")
     warm_up(model, of_twin, shape, cycle_s)
     parts = config.parts_of(Role.VIRTUAL_AXIS)
-    *devices, io_device = (
-        Device(shared_eds(node.eds, node.node_id), node.node_id, clock)
-        for node in (*(part.node for part in parts), config.twin.node)
-    )
+    hosted = (*parts, *config.parts_of(Role.VIRTUAL_IO))
+    *devices, io_device = (Device(dictionary_of(part), part.node.node_id, clock) for part in hosted)
     virtual_io = VirtualIo(io_device, machine_part(model.kind, "topology").process_data(shape), boundary(model, shape))
 
     def make(effects: str) -> Make:
@@ -485,7 +482,7 @@ def twin(config: BenchConfig, clock: Clock | None = None) -> HostedDevices:
         make("[]")  # the first validation of a model is slow
     machine = ModelSwitcher(make, cycle_s, beside)
     drives = [
-        SimulatedDrive(device, port, declared_units(part, shared_eds(part.node.eds, part.node.node_id)))
+        SimulatedDrive(device, port, declared_units(part))
         for device, port, part in zip(devices, machine.ports, parts, strict=True)
     ]
     application = TwinApplication(config, clock, machine, drives, io_device, virtual_io)

@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from hilbench.apps.canopen_tools.eds_match import EdsFile, fitting
 from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
-from hilbench.canopen.eds import shared_eds
 from hilbench.cia402.axis import object_of
 from hilbench.cia402.units import DriveUnits
 from hilbench.errors import UnusableInputError
-from hilbench.exchange.addressing import declared_units
+from hilbench.exchange.addressing import declared_units, dictionary_of
 from hilbench.exchange.node_data import UNITS, EdsObject, Key, StandData, drives_of, eds_objects, name_of, text_of
 from hilbench.runs.config import ExperimentConfig
 from hilbench.topology.config import BenchConfig
@@ -163,7 +162,7 @@ def _of_node(
     if not now:
         yield Drift("missing", part.name, "node", f"no answer from node {part.node.node_id}")
         return
-    od = shared_eds(part.node.eds, part.node.node_id)
+    od = dictionary_of(part)
     known = None if last is None else last.nodes.get(part.name)
     found = {} if known is None else {parse_object(name): _bytes(text) for name, text in known.found.items()}
     written = {} if known is None or fresh else {parse_object(name): _bytes(t) for name, t in known.written.items()}
@@ -292,7 +291,7 @@ def _units(part: Part, od: ObjectDictionary, now: Mapping[Key, bytes | None]) ->
         return _value(od, key, now.get(key))
 
     try:
-        there, declared = DriveUnits.from_objects(read, None, part.name), declared_units(part, od)
+        there, declared = DriveUnits.from_objects(read, None, part.name), declared_units(part)
     except UnusableInputError:
         return
     for name, found, expected in (

@@ -107,14 +107,16 @@ class Subject:
 
 def expected_nodes(nodes: Nodes) -> list[ExpectedNode]:
     """The nodes of a bench with what their EDS files promise."""
+    from hilbench.exchange.addressing import dictionary_of
+
     return [
         ExpectedNode(
             part=part.name,
             node_id=part.node.node_id,
             eds=part.node.eds,
             ours=part.is_ours,
-            device_type=default(nodes.dictionary(part.name), 0x1000, 0),
-            identity=identity(nodes.dictionary(part.name)),
+            device_type=default(dictionary_of(part), 0x1000, 0),
+            identity=identity(dictionary_of(part)),
             mapped=_mapped(nodes.pdo_maps(part.name)),
         )
         for part in nodes.config.parts

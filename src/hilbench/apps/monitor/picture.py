@@ -176,7 +176,7 @@ class BusPicture:
         for part in parts:
             if part.role is Role.VIRTUAL_IO:
                 continue
-            units = declared_units(part, nodes.dictionary(part.name))
+            units = declared_units(part)
             for pdo in nodes.pdo_maps(part.name)[1:]:  # what it sends
                 self._tpdos[pdo.cob_id] = (self.nodes[part.name], pdo, mapped_objects(pdo), units)
         self._answers = {

@@ -22,7 +22,6 @@ from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link, PacketLink
 from hilbench.can.open import open_link, open_python_can, starting
-from hilbench.canopen.eds import shared_eds
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.canopen.identifiers import NmtCommand
 from hilbench.canopen.master import Master
@@ -30,6 +29,7 @@ from hilbench.canopen.master_guard import mastery
 from hilbench.canopen.object_store import ObjectStore
 from hilbench.canopen.sdo_client import SentFrames
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
+from hilbench.exchange.addressing import dictionary_of
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.node_data import FILE, ask_all, stand_data
@@ -259,7 +259,7 @@ def copies_beside(config: BenchConfig, participants: Participants) -> Iterator[d
     they have loaded by then. One that is not taken ends on leaving."""
     with suppress(UnusableInputError):  # the bench reports it
         for part in config.parts:  # once, here, and not in each of them
-            shared_eds(part.node.eds, part.node.node_id)
+            dictionary_of(part)
     with forked_workers(_processes_beside(config, participants)) as waiting:
         yield waiting
 
