@@ -26,14 +26,15 @@ from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.fast_path import layout as lay
 from hilbench.fast_path.tables import (
-    FastPathArrays,
     FastPathRefusedError,
     Frames,
     Slots,
     feedback_row,
+    new_image,
     new_slots,
     reals,
     refuse_if,
+    sent_data,
 )
 from hilbench.topology.sample import CycleSample
 
@@ -219,10 +220,16 @@ TOGETHER = 32
 class BenchFastCycle(ABC):
     """Fast-path cycles of a bench one after the other; `ExchangeStages` of those that are run together.
 
-    `more`: arrays of the image in addition to those of the bench.
+    `drives`, `seen`: rows of the image for devices in this process, in addition to those of the bench.
     """
 
-    def __init__(self, wiring: BenchFrames, tap: FrameTap | None, **more: Any) -> None:
+    def __init__(
+        self,
+        wiring: BenchFrames,
+        tap: FrameTap | None,
+        drives: Sequence[tuple[Any, ...]] = (),
+        seen: Sequence[tuple[Any, ...]] = (),
+    ) -> None:
         """Raises FastPathRefusedError where cycles do not fit the fast path."""
         self._wiring, self._nodes, self._sync, self._tap = wiring, wiring.nodes, wiring.sync, tap
         self.left = False  #: True if a cycle left the fast path: the interpreter does, or finishes, it
@@ -233,39 +240,33 @@ class BenchFastCycle(ABC):
         self._waiting = self._waiting_frames = 0  # cycles and frames whose lines are in the text
         self.pieces: Sequence[CompiledStage] = ()  #: see `exchange.exchange.ExchangeStages`
         self._of_pieces: tuple[object, ...] = ()
-        self._make_arrays(more)
+        self._make_arrays(drives, seen)
         self._fault = self._sync.write_last_answers()
         self._nodes.begin_fast_path()
         self._due, self._supervised = self._sync.due_always, self._nodes.supervised
 
-    def _make_arrays(self, more: dict[str, Any]) -> None:
+    def _make_arrays(self, drives: Sequence[tuple[Any, ...]], seen: Sequence[tuple[Any, ...]]) -> None:
         nodes, wiring, measured = self._nodes, self._wiring, self._nodes.measured
-        targets, virtual_io = np.array(wiring.targets, lay.TARGET), np.array(wiring.virtual_io, lay.VIRTUAL_IO)
-        self._set_points = np.zeros(len(targets))
-        self._seen = np.array([*wiring.feedback, *more.pop("seen", ())], lay.FEEDBACK)
-        self._feedback = np.zeros(4 * len(self._seen))
-        self._arrays = arrays = FastPathArrays(
+        self._image = image = new_image(
             wiring.frames,
             wiring.slots,
             tap=self._lines,
             cycles=TOGETHER,
-            targets=targets,
-            set_points=self._set_points,
-            seen=self._seen,
-            feedback=self._feedback,
-            virtual_io_rows=virtual_io,
+            targets=wiring.targets,
+            drives=drives,
+            seen=[*wiring.feedback, *seen],
+            virtual_io_rows=np.array(wiring.virtual_io, lay.VIRTUAL_IO),
             from_twin=measured.from_twin,
-            **more,
         )
         # Access to one value is faster than through the arrays.
-        self._set_points_at, self._real_at = reals(self._set_points), reals(arrays.real)
-        given = np.flatnonzero(targets["source"] < 0).tolist()
+        self._set_points_at, self._real_at = reals(image.set_points), reals(image.real)
+        given = np.flatnonzero(image.targets["source"] < 0).tolist()
         self._names = [(at, name, per_unit) for at, (_, name, per_unit) in zip(given, nodes.set_points, strict=True)]
         self._boundary_places = list(zip(wiring.boundary_slots, nodes.boundary_names, strict=True))
-        self._totals, self._received = np.zeros(1, TOTALS), np.zeros(len(arrays.rows), np.int64)
+        self._totals, self._received = np.zeros(1, TOTALS), np.zeros(len(image.frames), np.int64)
         self._passed = self._totals[0].item()
         counted = Counting(
-            *(arrays.rows, arrays.given, arrays.left, arrays.clocks, arrays.whole),
+            *(image.frames, image.given, image.left, image.clocks, image.whole),
             *(measured.counted, self._totals, self._received, np.array([wiring.status], STATUS)),
         )
         self._count = CompiledStage(count, nodes.config.cycle_ns, counted, fallback=never)
@@ -322,13 +323,13 @@ class BenchFastCycle(ABC):
         except StageAbortedError:
             return False
         if self._lines is None and self._tap is not None:
-            self._tap.write(self._frames_of(self._arrays.image.order[: self._arrays.left[0]["frames"]].tolist()))
+            self._tap.write(self._frames_of_cycle())
             self._tap.end_cycle()
         self._pass(begun_ns)
         return True
 
     def _set_times(self) -> None:
-        self._arrays.given[0]["start_ns"] = self._sync.next_sync_ns
+        self._image.given[0]["start_ns"] = self._sync.next_sync_ns
 
     def finish(self) -> list[Frame]:
         """The rest, interpreted, of a cycle that is none, but `sent`; as `SyncCycle.exchange`."""
@@ -352,10 +353,10 @@ class BenchFastCycle(ABC):
         place, outputs = type(sample).place, self._names
         arrays = Outputs(
             sample.reals,
-            self._set_points,
+            self._image.set_points,
             np.array([(place(shown[name]), at) for at, name, _ in outputs], OUTPUT),
             np.array([per_unit for _, _, per_unit in outputs]),
-            self._arrays.real,
+            self._image.real,
             np.array([(place(shown[name]), slot) for slot, name in self._boundary_places], OUTPUT),
         )
         return CompiledStage(take_outputs, 0, arrays, fallback=never)
@@ -388,7 +389,7 @@ class BenchFastCycle(ABC):
             self._waiting += cycles
             self._waiting_frames += frames
         self._account(frames, bits, duration_ns, begun_ns)
-        last_bits, heartbeat_sent = int(self._arrays.left[0]["bits"]), self._heartbeat_sent
+        last_bits, heartbeat_sent = int(self._image.left[0]["bits"]), self._heartbeat_sent
         self._heartbeat_sent = False
         self._sync.count(cycles, bits, last_bits, begun_ns, time.monotonic_ns(), heartbeat_sent=heartbeat_sent)
         self.done += cycles
@@ -403,8 +404,8 @@ class BenchFastCycle(ABC):
         """Write the lines of the last cycles, if they are so many; returns the trace's error, if any."""
         if self._lines is None or self._waiting < least:
             return None
-        given = self._arrays.given[0]
-        text = self._arrays.text[: given["text"]].tobytes().decode("ascii")
+        given = self._image.given[0]
+        text = self._image.text[: given["text"]].tobytes().decode("ascii")
         frames, self._waiting, self._waiting_frames = self._waiting_frames, 0, 0
         given["text"] = 0
         try:
@@ -414,10 +415,12 @@ class BenchFastCycle(ABC):
             return fault
         return None
 
-    def _frames_of(self, rows: Sequence[int]) -> list[Frame]:
-        """Frames of these rows as they were on the wire."""
-        frames, times_ns, data = self._wiring.frames, self._arrays.rows["time_ns"].tolist(), self._arrays.data
-        return [Frame(frames.cob_ids[row], data[row].tobytes()[: frames.sizes[row]], times_ns[row]) for row in rows]
+    def _frames_of_cycle(self) -> list[Frame]:
+        """Frames of a cycle as they were on the wire."""
+        frames, image = self._wiring.frames, self._image
+        rows, times_ns = image.order[: image.left[0]["frames"]].tolist(), image.frames["time_ns"].tolist()
+        data = (sent_data(image, row, frames.sizes[row]) for row in rows)
+        return [Frame(frames.cob_ids[row], each, times_ns[row]) for row, each in zip(rows, data, strict=True)]
 
     # -- back to the objects ---------------------------------------------------------------------------------
 
@@ -431,15 +434,15 @@ class BenchFastCycle(ABC):
             raise fault
 
     def _give_bench(self) -> None:
-        wiring, arrays, nodes = self._wiring, self._arrays, self._nodes
+        wiring, image, nodes = self._wiring, self._image, self._nodes
         for cob_id, answer in nodes.answers.items():
             row = wiring.frames.row_of(cob_id)
-            since = int(arrays.rows[row]["count"])
-            data = arrays.data[row].tobytes()[: answer.size] if since < self.done else None
+            since = int(image.frames[row]["count"])
+            data = sent_data(image, row, answer.size) if since < self.done else None
             answer.answered_until(self.done, data, since)
-        wiring.give(self._seen[: len(nodes.drives)], arrays.whole)
+        wiring.give(image.seen[: len(nodes.drives)], image.whole)
         for (drive, _, _), (at, _, _) in zip(nodes.set_points, self._names, strict=True):
-            drive.setpoint = float(self._set_points[at])
+            drive.setpoint = float(image.set_points[at])
         nodes.end_fast_path(self.done)
 
 

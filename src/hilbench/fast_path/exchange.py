@@ -101,7 +101,7 @@ class PacketCycle(BenchFastCycle):
         super().__init__(wiring, tap)
         self._link = link
         count, bitrate = len(wiring.frames.rows), self._nodes.config.bus.bitrate
-        port = PacketPort(self._arrays.image, link.fileno(), link.dropped, wiring.asked, count, wiring.checks)
+        port = PacketPort(self._image, link.fileno(), link.dropped, wiring.asked, count, wiring.checks)
         self._port = port
         self._packets = (
             CompiledStage(packet_kernel.ask, bitrate, (), fallback=self._asked, table=port.table),
@@ -145,6 +145,6 @@ class PacketCycle(BenchFastCycle):
     def finish(self) -> list[Frame]:
         """Finish a cycle that left the fast path, from the packets received. Raises BusError as well."""
         came = self._link.frames_from(*self._port.packets)
-        outgoing = self._frames_of(self._arrays.image.order[: self._arrays.left[0]["frames"]].tolist())
+        outgoing = self._frames_of_cycle()
         fault, self._fault = self._fault, None
         return self._sync.finish([frame._replace(time_ns=0) for frame in outgoing[:-1]], [], came, fault)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-import numpy as np
-
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import SyncClock
@@ -15,22 +13,23 @@ from hilbench.canopen.device_pdo import Rpdo, Tpdo
 from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.cia402.state_machine import Command
+from hilbench.compiled import table_of
 from hilbench.cycle_program import CONTINUE
 from hilbench.fast_path import kernel, packet_kernel
 from hilbench.fast_path import layout as lay
 from hilbench.fast_path.motors import Motors
 from hilbench.fast_path.packet_kernel import BITRATE, NOTHING, OTHER, UNSENT, PacketPort
 from hilbench.fast_path.tables import (
-    FastPathArrays,
     FastPathRefusedError,
     Frames,
     Slots,
     cell_slots,
     drive_row,
+    new_image,
     refuse_if,
+    sent_data,
 )
 from hilbench.plant.interface import Steps
-from hilbench.plant.motor_port import FEEDBACK_SIZE
 
 
 class HostFrames:
@@ -106,16 +105,15 @@ class HostFrames:
         ends = [device.consumer.quiet_until_ns() for device in self._devices]
         return min((end for end in ends if end is not None), default=1 << 62)
 
-    def give(self, rows: lay.Rows, data: lay.Bytes, cycles: int, received_ns: int) -> None:
-        """Update the devices after so many cycles: the last RPDOs came at `received_ns`, and `data` (F, 8) holds the
-        last data of the frames."""
+    def give(self, image: kernel.Image, cycles: int, received_ns: int) -> None:
+        """Update the devices after so many cycles: the last RPDOs came at `received_ns`."""
         for _, rpdo, _ in self.taken:
             rpdo.received_until(received_ns)
         for device, row in self.heartbeats:
-            device.producer.sent_until(int(rows[row]["next_ns"]))
+            device.producer.sent_until(int(image.frames[row]["next_ns"]))
         for _, tpdo, row in self.answering:
-            count = int(rows[row]["count"])
-            tpdo.sent_until(count, data[row].tobytes()[: self._frames.sizes[row]] if count < cycles else None)
+            count = int(image.frames[row]["count"])
+            tpdo.sent_until(count, sent_data(image, row, self._frames.sizes[row]) if count < cycles else None)
 
 
 _ENABLED = Command.ENABLE_OPERATION.value
@@ -158,7 +156,7 @@ class SyncAnswers:
         self._checks = self._controlwords(drives)
         self.host.answer()
         self._ends = asked, len(self.frames.rows)
-        self.drives = np.array([drive_row(drive, self.slots) for drive in drives], lay.DRIVE)
+        self._drives = [drive_row(drive, self.slots) for drive in drives]
         self._until_ns = self.host.quiet_until_ns()
 
     def _controlwords(self, drives: Sequence[SimulatedDrive]) -> list[tuple[int, ...]]:
@@ -171,15 +169,11 @@ class SyncAnswers:
         ]
         return checks if self._heartbeat < 0 else [*checks, (self._heartbeat, 0, 1, 0xFF, _OPERATIONAL[0])]
 
-    def fill(self, **more: Any) -> None:
-        """The arrays, of what has slots and frames by now, with `more` arrays of the image."""
-        count = len(self.drives)
-        self.asked, self.shown = np.zeros(count), np.zeros(FEEDBACK_SIZE * count)
-        self.arrays = FastPathArrays(
-            self.frames, self.slots, drives=self.drives, asked=self.asked, shown=self.shown, **more
-        )
-        self.table = self.arrays.table
-        self._port = PacketPort(self.arrays.image, self._link.fileno(), self._link.dropped, *self._ends, self._checks)
+    def fill(self, seen: Sequence[tuple[Any, ...]] = ()) -> None:
+        """The image, of what has slots and frames by now, with these rows of `layout.FEEDBACK`."""
+        self.image = new_image(self.frames, self.slots, drives=self._drives, seen=seen)
+        self.table = table_of(self.image)
+        self._port = PacketPort(self.image, self._link.fileno(), self._link.dropped, *self._ends, self._checks)
 
     @property
     def came(self) -> Sequence[bytes]:
@@ -199,14 +193,14 @@ class SyncAnswers:
             packet = self._link.receive_packet(timeout_s)
             self._late += [] if packet is None else [packet]
             return NOTHING if packet is None else OTHER
-        self.arrays.clocks[0] = clock.next_ns
+        self.image.clocks[0] = clock.next_ns
         state["until_ns"] = clock.stalls_at_ns
         outcome = self.receive(packet_kernel.answer, timeout_s)
         if outcome == UNSENT:
             self._link.send_records(self._port.unsent)
         elif outcome != CONTINUE:
             return outcome
-        if self._heartbeat >= 0 and self.arrays.rows[self._heartbeat]["bits_on_wire"]:
+        if self._heartbeat >= 0 and self.image.frames[self._heartbeat]["bits_on_wire"]:
             self._take_heartbeat()
         clock.tick_at(int(state["now_ns"]))
         self.cycles += 1
@@ -236,7 +230,7 @@ class SyncAnswers:
     def give(self) -> None:
         """The devices get what the arrays have of their PDOs and heartbeats."""
         received_ns = self._clock.next_ns - 2 * self._cycle_ns  # the last RPDOs
-        self.host.give(self.arrays.rows, self.arrays.data, self.cycles, received_ns)
+        self.host.give(self.image, self.cycles, received_ns)
 
 
 class Rig(Protocol):
@@ -267,14 +261,10 @@ class RigFastCycle:
         if step_s is None:
             raise FastPathRefusedError
         answers.fill()
-        self._answers = answers
+        self._answers, image = answers, answers.image
         self._motors = Motors(
             rig.drives,
-            answers.drives,
-            answers.arrays.whole,
-            answers.arrays.real,
-            answers.asked,
-            answers.shown,
+            *(image.drives, image.whole, image.real, image.asked, image.shown),
             rig.rig,
             step_s,
             answers.slots.cells[0],

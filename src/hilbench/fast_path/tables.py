@@ -15,11 +15,11 @@ from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
 from hilbench.cia402.drive import Drive
 from hilbench.cia402.units import RPM
-from hilbench.compiled import of_record, table_of
+from hilbench.compiled import of_record
 from hilbench.exchange.frame_tap import LineTap
 from hilbench.fast_path import kernel
 from hilbench.fast_path import layout as lay
-from hilbench.plant.motor_port import MotorMode
+from hilbench.plant.motor_port import FEEDBACK_SIZE, MotorMode
 
 if TYPE_CHECKING:
     from hilbench.cia402.simulated import SimulatedDrive  # a bench without devices does not load them
@@ -116,49 +116,58 @@ class Frames:
         return int(self.rows[row][_EVERY])
 
 
-class FastPathArrays:
-    """Arrays of the fast path of a process, from its frames and slots; `tap` gets the lines of `cycles` cycles at once.
+def new_image(
+    frames: Frames,
+    slots: Slots,
+    *,
+    tap: LineTap | None = None,
+    cycles: int = 0,
+    targets: Sequence[tuple[Any, ...]] = (),
+    drives: Sequence[tuple[Any, ...]] = (),
+    seen: Sequence[tuple[Any, ...]] = (),
+    **more: Any,
+) -> kernel.Image:
+    """Process image of frames and slots, with rows of set points, of simulated drives and of those that are seen, and
+    `more` arrays; `tap` gets the lines of `cycles` cycles at once."""
+    rows, data = np.array(frames.rows, lay.FRAME), np.zeros((len(frames.rows), 8), np.uint8)
+    received, every_row = np.array(sorted(frames.received), lay.FIELD), range(len(frames.rows))
+    for name, side in (("first_received", "left"), ("last_received", "right")):
+        rows[name] = np.searchsorted(received["frame"], every_row, side)  # type: ignore[call-overload]
+    for row, content in frames.constants.items():
+        data[row, : len(content)] = np.frombuffer(content, np.uint8)
+    heads = b""
+    for each in rows if tap is not None else ():
+        head = tap.head(int(each["cob_id"])).encode("ascii", "backslashreplace") if tap is not None else b""
+        each["head"], each["head_end"] = len(heads), len(heads) + len(head)
+        heads += head
+    return kernel.Image(
+        frames=rows,
+        sent=np.array(frames.sent, lay.FIELD),
+        received=received,
+        data=data.reshape(-1),
+        order=np.zeros(len(rows), np.int64),
+        whole=np.array([*slots.whole, 0], np.int64),
+        real=np.array([*slots.real, 0.0]),
+        given=np.zeros(1, lay.GIVEN),
+        left=np.zeros(1, lay.LEFT),
+        clocks=np.zeros(2, np.int64),
+        scratch=np.zeros(1),
+        heads=np.array(list(heads), np.uint8),
+        text=np.zeros(cycles * (len(rows) * lay.LINE + len(heads)) if tap is not None else 0, np.uint8),
+        targets=np.array([*targets], lay.TARGET),
+        set_points=np.zeros(len(targets)),
+        drives=np.array([*drives], lay.DRIVE),
+        asked=np.zeros(len(drives)),
+        shown=np.zeros(FEEDBACK_SIZE * len(drives)),
+        seen=np.array([*seen], lay.FEEDBACK),
+        feedback=np.zeros(4 * len(seen)),
+        **more,
+    )
 
-    `image`: of `kernel`, with `more` arrays; `rows` of frames, `data` (F, 8), `whole` and `real` values, `given`,
-    `left` and `clocks` are those of it.
-    """
 
-    def __init__(
-        self, frames: Frames, slots: Slots, *, tap: LineTap | None = None, cycles: int = 0, **more: Any
-    ) -> None:
-        self.rows, self.data = np.array(frames.rows, lay.FRAME), np.zeros((len(frames.rows), 8), np.uint8)
-        received, every_row = np.array(sorted(frames.received), lay.FIELD), range(len(frames.rows))
-        for name, side in (("first_received", "left"), ("last_received", "right")):
-            self.rows[name] = np.searchsorted(received["frame"], every_row, side)  # type: ignore[call-overload]
-        for row, content in frames.constants.items():
-            self.data[row, : len(content)] = np.frombuffer(content, np.uint8)
-        self.whole, self.real = np.array([*slots.whole, 0], np.int64), np.array([*slots.real, 0.0])
-        self.given, self.left = np.zeros(1, lay.GIVEN), np.zeros(1, lay.LEFT)
-        self.clocks = np.zeros(2, np.int64)
-        heads = b""
-        for row in self.rows if tap is not None else ():
-            head = tap.head(int(row["cob_id"])).encode("ascii", "backslashreplace") if tap is not None else b""
-            row["head"], row["head_end"] = len(heads), len(heads) + len(head)
-            heads += head
-        self.text = np.zeros(cycles * (len(self.rows) * lay.LINE + len(heads)) if tap is not None else 0, np.uint8)
-        self.image = kernel.Image(
-            frames=self.rows,
-            sent=np.array(frames.sent, lay.FIELD),
-            received=received,
-            data=self.data.reshape(-1),
-            order=np.zeros(len(self.rows), np.int64),
-            whole=self.whole,
-            real=self.real,
-            given=self.given,
-            left=self.left,
-            clocks=self.clocks,
-            scratch=np.zeros(1),
-            heads=np.array(list(heads), np.uint8),
-            text=self.text,
-            **more,
-        )
-        #: Table of the image.
-        self.table = table_of(self.image)
+def sent_data(image: kernel.Image, row: int, size: int) -> bytes:
+    """Data of a frame as it was on the wire last."""
+    return bytes(image.data[8 * row : 8 * row + size])
 
 
 def _fields(row: int, content: PdoMap, slots: Sequence[int]) -> list[tuple[int, ...]]:

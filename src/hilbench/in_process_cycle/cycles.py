@@ -13,19 +13,16 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
-import numpy as np
-
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.identifiers import HEARTBEAT
 from hilbench.cia402.state_machine import Command
-from hilbench.compiled import load
+from hilbench.compiled import load, table_of
 from hilbench.cycle_program import CompiledStage, python_stage
 from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.master_node import MasterNode
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.fast_path import kernel
-from hilbench.fast_path import layout as lay
 from hilbench.fast_path.bench_cycle import STAGES, BenchFastCycle, FastPath
 from hilbench.fast_path.motors import Motors
 from hilbench.fast_path.tables import FastPathRefusedError, drive_row
@@ -93,15 +90,12 @@ class _Run(BenchFastCycle):
         rows: list[tuple[Any, ...]] = []
         for wiring.slots.side, of_side in enumerate((here.rig.drives, here.machine.drives)):
             rows += [drive_row(drive, wiring.slots) for drive in of_side]
-        self._drives, self._asked = np.array(rows, lay.DRIVE), np.zeros(len(rows))
-        self._shown = np.zeros(FEEDBACK_SIZE * len(rows))
         wiring.slots.side = 1
         self._machine = TwinInArrays(here.machine, wiring.slots)
-        more = {"drives": self._drives, "asked": self._asked, "shown": self._shown, "seen": wiring.received}
-        super().__init__(wiring, tap, **more)
+        super().__init__(wiring, tap, rows, wiring.received)
         self._ticked = 0
         self._join_motors(step_s)
-        bitrate, exchanged = nodes.config.bus.bitrate, self._arrays.table
+        bitrate, exchanged = nodes.config.bus.bitrate, table_of(self._image)
         self._frames_stage = CompiledStage(kernel.exchange, bitrate, (), fallback=self._left, table=exchanged)
         self._publish = CompiledStage(kernel.publish, 0, (), fallback=self._publish_by_objects, table=exchanged)
         self._of_machine: tuple[CompiledStage | None, Sequence[CompiledStage]] = None, ()
@@ -109,23 +103,23 @@ class _Run(BenchFastCycle):
 
     def _join_motors(self, step_s: float) -> None:
         """The drives on both sides, with what they turn."""
-        here, count = self._here, len(self._here.rig.drives)
-        values = self._arrays.whole, self._arrays.real
+        here, count, image = self._here, len(self._here.rig.drives), self._image
+        values = image.whole, image.real
         self._hardware = Motors(
             here.rig.drives,
-            self._drives[:count],
-            *(*values, self._asked[:count], self._shown[: FEEDBACK_SIZE * count]),
+            image.drives[:count],
+            *(*values, image.asked[:count], image.shown[: FEEDBACK_SIZE * count]),
             here.rig.rig,
             step_s,
             self._wiring.slots.cells[0],
             alone=count == len(here.rig.ports),
         )
         self._machine.join(
-            self._drives[count:],
+            image.drives[count:],
             *values,
-            self._asked[count:],
-            self._shown[FEEDBACK_SIZE * count :],
-            self._feedback[4 * len(self._bench_drives) :],
+            image.asked[count:],
+            image.shown[FEEDBACK_SIZE * count :],
+            image.feedback[4 * len(self._bench_drives) :],
         )
 
     def _deadlines(self) -> None:
@@ -182,7 +176,7 @@ class _Run(BenchFastCycle):
 
     def _set_times(self) -> None:
         super()._set_times()
-        self._arrays.clocks[:] = self._here.hardware.clock.next_ns, self._here.twin.clock.next_ns
+        self._image.clocks[:] = self._here.hardware.clock.next_ns, self._here.twin.clock.next_ns
 
     def _send_heartbeat(self, _: int) -> bool:
         self._tick(time.monotonic_ns(), int(self._totals[0]["cycles"]))
@@ -221,13 +215,13 @@ class _Run(BenchFastCycle):
 
     def _give(self) -> None:
         """Update both sides from the last PDOs and heartbeats."""
-        here, arrays = self._here, self._arrays
+        here = self._here
         self._hardware.give()
         self._machine.give()
         for served, host in zip((here.hardware, here.twin), self._wiring.hosts, strict=True):
             received_ns = served.clock.next_ns - 2 * self._nodes.config.cycle_ns
-            host.give(arrays.rows, arrays.data, self.done, received_ns)
-        give_counters(here.machine.listeners, self._seen[len(self._bench_drives) :])
+            host.give(self._image, self.done, received_ns)
+        give_counters(here.machine.listeners, self._image.seen[len(self._bench_drives) :])
         now_s = time.monotonic()
         for served in (here.hardware, here.twin):
             served.host.served_until(now_s)

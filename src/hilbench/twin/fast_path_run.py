@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from hilbench.cycle_program import CONTINUE
 from hilbench.fast_path import kernel, packet_kernel
 from hilbench.fast_path import layout as lay
@@ -32,10 +30,9 @@ class TwinFastCycle:
             received.append(received_row(listener, taken[listener.position], taken[listener.torque]))
         if len({listener.cob_id for listener in self._listeners}) != len(received):
             raise FastPathRefusedError
-        self._seen, measured = np.array(received, lay.FEEDBACK), np.zeros(4 * len(received))
-        answers.fill(seen=self._seen, feedback=measured)
-        arrays = answers.arrays
-        self._machine.join(answers.drives, arrays.whole, arrays.real, answers.asked, answers.shown, measured)
+        answers.fill(received)
+        image = answers.image
+        self._machine.join(image.drives, image.whole, image.real, image.asked, image.shown, image.feedback)
 
     @property
     def came(self) -> Sequence[bytes]:
@@ -70,4 +67,4 @@ class TwinFastCycle:
             return
         self._machine.give(awaits=self._awaits)
         self._answers.give()
-        give_counters(self._listeners, self._seen)
+        give_counters(self._listeners, self._answers.image.seen)
