@@ -161,7 +161,7 @@ class Bench:
             if self._may_idle:
                 silence_s = self.config.master.heartbeat_ms * 1e-3
                 stay_alive = partial(self._cycle.stay_alive, silence_s)
-                self._resources.enter_context(idle.kept_alive(stay_alive, silence_s))
+                self._resources.enter_context(idle.meanwhile(stay_alive, silence_s, "bench-idle"))
         except BaseException as error:
             with finishing(_STOP):
                 try:

@@ -21,15 +21,15 @@ def may_idle(config: BenchConfig) -> bool:
 
 
 @contextmanager
-def kept_alive(stay_alive: Callable[[], None], period_s: float) -> Iterator[None]:
-    """Call `stay_alive` every `period_s` of wall time, from a thread of its own, until the context is left."""
+def meanwhile(act: Callable[[], None], period_s: float, name: str) -> Iterator[None]:
+    """Call `act` every `period_s` of wall time, from a thread of its own called `name`, until the context is left."""
     left = threading.Event()
 
-    def keep() -> None:
+    def run() -> None:
         while not left.wait(period_s):
-            stay_alive()
+            act()
 
-    thread = threading.Thread(target=keep, name="bench-idle", daemon=True)
+    thread = threading.Thread(target=run, name=name, daemon=True)
     thread.start()
     try:
         yield

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hilbench.bench.lifecycle.idle import meanwhile
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.supervisor import Watch
 from hilbench.can import hub_client
@@ -364,7 +364,6 @@ def _beside_each_other(most: int, participants: Participants) -> Iterator[ForEac
 @contextmanager
 def _watched(link: Link, tap: FrameTap | None, sent: SentFrames) -> Iterator[None]:
     """Hand the frames of the configuration to the tap while the master is sending; `sent` records them."""
-    done = threading.Event()
     failures: list[BaseException] = []
 
     def take(frames: list[Frame]) -> None:
@@ -379,18 +378,14 @@ def _watched(link: Link, tap: FrameTap | None, sent: SentFrames) -> Iterator[Non
 
     def drain() -> None:
         try:
-            while not done.wait(_LOOKS_S):
-                take(link.receive(0.0))
             take(link.receive(0.0))
         except BaseException as error:  # handed to the thread that waits for us
             failures.append(error)
 
-    thread = threading.Thread(target=drain, name="configuration-trace", daemon=True)
-    thread.start()
     try:
-        yield
+        with meanwhile(drain, _LOOKS_S, "configuration-trace"):
+            yield
     finally:
-        done.set()
-        thread.join()
+        drain()
     if failures:
         raise failures[0]
