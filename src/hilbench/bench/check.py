@@ -94,7 +94,7 @@ def _of_axis(entry: int) -> tuple[int, int]:
 
 def _check_axes(config: BenchConfig, document: Document) -> None:
     """The EDS file of each drive has the axis of the node that it is."""
-    for part in config.parts_of(Role.AXIS) + config.parts_of(Role.LOAD_MOTOR):
+    for part in config.stand_drives:
         there = axes(dictionary_of(part).__contains__)
         if part.node_axis > 1 and part.node_axis not in there:
             raise UnusableInputError(

@@ -28,7 +28,7 @@ from hilbench.exchange.addressing import dictionary_of, drive_settings
 from hilbench.exchange.nodes import ForEachNode
 from hilbench.json_file import JsonFile
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.parts import Part, Role
+from hilbench.topology.parts import Part
 
 Key = tuple[int, int]
 
@@ -93,11 +93,6 @@ class StandData(JsonFile):
     eds: dict[str, dict[str, EdsObject]]
 
 
-def drives_of(config: BenchConfig) -> tuple[Part, ...]:
-    """The parts whose objects are read: axes and load motors of the stand, not the twin's nodes."""
-    return (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))
-
-
 def ask_all(
     reader: SdoClient, config: BenchConfig, for_each_node: ForEachNode = map
 ) -> dict[str, dict[Key, bytes | None]]:
@@ -105,7 +100,7 @@ def ask_all(
 
     Raises BusError when the bus is lost.
     """
-    parts = drives_of(config)
+    parts = config.stand_drives
     answers = for_each_node(partial(ask, reader, config), parts)
     return {part.name: of_part for part, of_part in zip(parts, answers, strict=True)}
 
@@ -184,9 +179,9 @@ def stand_data(
             found={name_of(key): None if data is None else data.hex() for key, data in found[part.name].items()},
             written={name_of(key): data.hex() for key, data in _writes_of(config, part, written)},
         )
-        for part in drives_of(config)
+        for part in config.stand_drives
     }
-    files = {str(part.node.eds): eds_objects(part.node.eds) for part in drives_of(config)}
+    files = {str(part.node.eds): eds_objects(part.node.eds) for part in config.stand_drives}
     return StandData(stand=config.stand_name, time=datetime.now(UTC), nodes=nodes, eds=files)
 
 

@@ -141,7 +141,7 @@ def fast_path_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: 
 def hardware(config: BenchConfig) -> HostedDevices:
     """The nodes of the bench that are marked `simulated`, on their rig."""
     clock, time = _time_base(config)
-    parts = (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))
+    parts = config.stand_drives
     ports = tuple(MotorPort() for _ in parts)
     warm_up(config)
     rig = new_rig(config, ports, config.seed)
@@ -173,13 +173,13 @@ def load(config: BenchConfig) -> None:
 
 def warm_up(config: BenchConfig) -> None:
     """Compile, or load, what a rig runs on, on a scratch rig: it is over before the devices boot."""
-    ports = [MotorPort() for _ in (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))]
+    ports = [MotorPort() for _ in config.stand_drives]
     new_rig(config, ports).step(config.cycle_time_s)
 
 
 def warm_up_in_modes(config: BenchConfig) -> None:
     """Compile, or load, what a rig does in the place of `Steps.step`, before the devices boot."""
-    ports = [MotorPort() for _ in (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))]
+    ports = [MotorPort() for _ in config.stand_drives]
     rig = new_rig(config, ports)
     if isinstance(rig, StepsInModes):
         step = rig.steps_in_modes(np.zeros(len(ports)), config.cycle_time_s, np.zeros(5 * len(ports)))

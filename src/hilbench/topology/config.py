@@ -341,6 +341,11 @@ class BenchConfig(Block):
         """All nodes: the drives, the load motors, the virtual axes, the virtual I/O."""
         return tuple(part for role in Role for part in self.parts_of(role))
 
+    @property
+    def stand_drives(self) -> tuple[Part, ...]:
+        """The drives of the stand itself, not the twin's nodes: of the axes, then the load motors."""
+        return (*self.parts_of(Role.AXIS), *self.parts_of(Role.LOAD_MOTOR))
+
     def parts_of(self, role: Role) -> tuple[Part, ...]:
         """The nodes of one role, in the order of the config."""
         if role is Role.VIRTUAL_IO:

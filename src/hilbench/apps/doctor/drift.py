@@ -19,7 +19,7 @@ from hilbench.cia402.axis import object_of
 from hilbench.cia402.units import DriveUnits
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.addressing import declared_units, dictionary_of
-from hilbench.exchange.node_data import UNITS, EdsObject, Key, StandData, drives_of, eds_objects, name_of, text_of
+from hilbench.exchange.node_data import UNITS, EdsObject, Key, StandData, eds_objects, name_of, text_of
 from hilbench.runs.config import ExperimentConfig
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, parse_object
@@ -83,7 +83,7 @@ def drifts(
     """
     found = [] if last_config is None else list(_of_config(config, last_config))
     found += [] if last is None else list(_of_files(config, last))
-    for part in drives_of(config):
+    for part in config.stand_drives:
         if part.name in by_node:
             found += _of_node(part, by_node[part.name], last, fresh=part.name in fresh, files=files)
     return found
@@ -127,7 +127,7 @@ def _text(value: Any) -> str:
 
 def _of_files(config: BenchConfig, last: StandData) -> Iterator[Drift]:
     seen = set()
-    for part in drives_of(config):
+    for part in config.stand_drives:
         known = last.nodes.get(part.name)
         before = None if known is None else last.eds.get(known.eds)
         pair = (str(part.node.eds), None if known is None else known.eds)

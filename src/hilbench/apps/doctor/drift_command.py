@@ -49,7 +49,6 @@ def drift(
     from hilbench.apps.doctor.drift import drifts
     from hilbench.apps.doctor.drive_answers import last_run, read_stand
     from hilbench.bench.check import check_bench
-    from hilbench.exchange.node_data import drives_of
 
     loaded = load_config(config, bus=bus, changes=changes or ())
     bench = loaded.config
@@ -64,7 +63,7 @@ def drift(
         in_process=in_process,
         announce=lambda text: None if json else console.print(f"{text} ...", markup=False),
     )
-    folders = dict.fromkeys(part.node.eds.parent for part in drives_of(bench))
+    folders = dict.fromkeys(part.node.eds.parent for part in bench.stand_drives)
     found = drifts(
         bench,
         answers,

@@ -18,7 +18,7 @@ from hilbench.canopen.listening import listen, master_at_work, present
 from hilbench.canopen.master_guard import master_of
 from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.exchange.node_data import StandData, ask_all, drives_of
+from hilbench.exchange.node_data import StandData, ask_all
 from hilbench.results.run_folder import RunFolder
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import read_resolved
@@ -63,7 +63,7 @@ def read_stand(
     start: simulated drives are started when none of them is there. in_process: they are, without processes. Raises
     UnusableInputError where another master is at work, or no node answers; BenchFaultError for a bus that is lost.
     """
-    simulated = frozenset(part.name for part in drives_of(config) if part.is_simulated)
+    simulated = frozenset(part.name for part in config.stand_drives if part.is_simulated)
     if in_process:
         check_in_process(config)
         here = InProcess(config)
