@@ -42,7 +42,7 @@ def set_up(
             master.wait_for_answer([5], 10.0)
             units = read_units(master, 5, od, {}, "axis")
             manual = ManualDrive(master, 5, "axis", units, 5.0, alive)
-            yield drive, SetUpDrive(manual, eds.name, units, allowed or Limits())
+            yield drive, SetUpDrive(manual, eds.name, allowed or Limits())
         finally:
             master.close()
 

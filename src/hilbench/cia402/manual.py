@@ -88,14 +88,14 @@ class ManualDrive:
         #: For messages.
         self.name = f"{name} ({place_of(node_id, axis)})"
         self._axis = axis
-        self._units = units
-        self._time_out_s = time_out_s
+        self.units = units
+        self.time_out_s = time_out_s
         self.alive = alive
 
     def status(self) -> DriveStatus:
         """Read it."""
         statusword = self._statusword()
-        state, units = decode_statusword(statusword), self._units
+        state, units = decode_statusword(statusword), self.units
         position, velocity, torque = (self._read(index) for index in _ACTUAL)
         return DriveStatus(
             statusword,
@@ -140,11 +140,11 @@ class ManualDrive:
         """Bring it to rest by 605Ah and 6085h from any motion; then it is without power (unless in FAULT)."""
         if self._state() in POWERED:
             self.write(objects.CONTROLWORD, Command.QUICK_STOP.value)
-            deadline_s = time.monotonic() + self._time_out_s
+            deadline_s = time.monotonic() + self.time_out_s
             while self._state() in POWERED and time.monotonic() < deadline_s:
                 if self._statusword() & STATUS_TARGET_REACHED and self._state() is State.QUICK_STOP_ACTIVE:
                     break
-                self._pause()
+                self.pause()
         self.write(objects.CONTROLWORD, Command.DISABLE_VOLTAGE.value)
 
     def disable(self) -> None:
@@ -178,11 +178,11 @@ class ManualDrive:
 
     def turn(self, velocity_rad_s: float) -> None:
         """Ramp to a velocity of the motor (6083h, 6084h). Raises BenchFaultError when its units are not known."""
-        if self._units is None:
+        if self.units is None:
             unit = self.object(objects.SI_UNIT_VELOCITY)
             raise self.fault(f"does not define its velocity unit ({unit:X}h), expected it: give units in --config")
         self.enabled_statusword()
-        self.write(objects.TARGET_VELOCITY, round(velocity_rad_s / self._units.velocity_rad_s))
+        self.write(objects.TARGET_VELOCITY, round(velocity_rad_s / self.units.velocity_rad_s))
 
     def enabled_statusword(self) -> int:
         """The statusword of a drive that is still in OPERATION ENABLED. Raises BenchFaultError, with its error code."""
@@ -196,21 +196,22 @@ class ManualDrive:
     def stop(self) -> None:
         """Command velocity 0, and wait until standstill or the time-out."""
         self.turn(0.0)
-        deadline_s = time.monotonic() + self._time_out_s
+        deadline_s = time.monotonic() + self.time_out_s
         while abs(self.status().velocity_rad_s or 0.0) > _STOPPED_RAD_S and time.monotonic() < deadline_s:
-            self._pause()
+            self.pause()
 
     def _go(self, controlword: Callable[[State], int], goal: State, *, from_fault: bool = False) -> None:
-        deadline_s = time.monotonic() + self._time_out_s
+        deadline_s = time.monotonic() + self.time_out_s
         while (state := self._state()) is not goal:
             if state is State.FAULT and not from_fault:
                 raise self.fault(f"went into FAULT on its way to {goal.label}, {self._error_code()}")
             if time.monotonic() > deadline_s:
-                raise self.fault(f"hung in {state.label} for {self._time_out_s:g} s, wanted {goal.label}")
+                raise self.fault(f"hung in {state.label} for {self.time_out_s:g} s, wanted {goal.label}")
             self.write(objects.CONTROLWORD, controlword(state))
-            self._pause()
+            self.pause()
 
-    def _pause(self) -> None:
+    def pause(self) -> None:
+        """Wait for a moment, in which it is `alive`."""
         self.alive()
         time.sleep(_STEP_S)
 

@@ -27,7 +27,6 @@ from hilbench.cia402.state_machine import (
 from hilbench.cia402.units import RPM, DriveUnits
 from hilbench.errors import UnusableInputError
 
-_STEP_S: Final = 0.02
 _ENABLED: Final = Command.ENABLE_OPERATION.value
 #: Controlword in profile position mode: new set-point, at once; in homing mode: begin.
 _NEW_SET_POINT: Final = _ENABLED | 1 << 4 | 1 << 5
@@ -65,27 +64,16 @@ class Limits:
 class SetUpDrive:
     """A drive that is moved by hand or by a script; it is enabled by each motion, and stays so.
 
-    `eds` is the name of its file, for messages; `without_units` why `units` are not known; `allowed` the limits of a
+    `eds` is the name of its file, for messages; `without_units` why its units are not known; `allowed` the limits of a
     config. Raises UnusableInputError for missing objects and for motions beyond a limit, before anything moves;
     BenchFaultError when it fails or hangs on its way.
     """
 
-    def __init__(
-        self,
-        drive: ManualDrive,
-        eds: str,
-        units: DriveUnits | None,
-        allowed: Limits = Limits(),
-        *,
-        without_units: str = "",
-        time_out_s: float = 5.0,
-    ) -> None:
+    def __init__(self, drive: ManualDrive, eds: str, allowed: Limits = Limits(), *, without_units: str = "") -> None:
         self.drive = drive
         self._eds = eds
-        self._units = units
         self._allowed = allowed
         self.without_units = without_units
-        self._time_out_s = time_out_s
 
     # --- units and limits ---------------------------------------------------------------------------------------------
 
@@ -106,13 +94,13 @@ class SetUpDrive:
         missing = self.lacking(mode)
         if missing:
             raise UnusableInputError(self.drive.name, f"{', '.join(missing)}: {mode_name(mode)} can't be used")
-        if self._units is None:
+        if self.drive.units is None:
             raise UnusableInputError(self.drive.name, self.without_units)
-        return self._units
+        return self.drive.units
 
     def limits(self) -> Limits:
         """Limits by the drive's own objects and the config, whichever is narrower."""
-        units, allowed = self._units, self._allowed
+        units, allowed = self.drive.units, self._allowed
         if units is None:
             return allowed
         speeds = [(allowed.speed_rad_s, allowed.speed_by)]
@@ -231,30 +219,24 @@ class SetUpDrive:
     def _hold(self, duration_s: float, speed_limit_rad_s: float) -> None:
         end_s = time.monotonic() + duration_s
         while time.monotonic() < end_s:
-            self._look()
+            self.drive.enabled_statusword()
             velocity = self.drive.status().velocity_rad_s if speed_limit_rad_s < inf else None
             if velocity is not None and abs(velocity) > speed_limit_rad_s:
                 raise self.drive.fault(f"turns with {velocity:.4g} rad/s, the limit is {speed_limit_rad_s:g} rad/s")
-            time.sleep(_STEP_S)
+            self.drive.pause()
 
     # --- waiting ------------------------------------------------------------------------------------------------------
 
-    def _look(self) -> int:
-        """The statusword of a drive that is still in OPERATION ENABLED."""
-        self.drive.alive()
-        return self.drive.enabled_statusword()
-
     def _until(self, reached: Callable[[int], bool], what: str, *, moving: bool = False) -> int:
         """The statusword with which it is so. A time-out is only for a drive that does not move."""
-        deadline_s, place = time.monotonic() + self._time_out_s, self._place()
-        while not reached(word := self._look()):
+        drive = self.drive
+        deadline_s, place = time.monotonic() + drive.time_out_s, self._place()
+        while not reached(word := drive.enabled_statusword()):
             if moving and abs((now := self._place()) - place) > _STANDSTILL_UNITS:
-                deadline_s, place = time.monotonic() + self._time_out_s, now
+                deadline_s, place = time.monotonic() + drive.time_out_s, now
             if time.monotonic() > deadline_s:
-                raise self.drive.fault(
-                    f"stood still for {self._time_out_s:g} s, expected {what}; statusword {word:04X}h"
-                )
-            time.sleep(_STEP_S)
+                raise drive.fault(f"stood still for {drive.time_out_s:g} s, expected {what}; statusword {word:04X}h")
+            drive.pause()
         return word
 
     def _place(self) -> int:

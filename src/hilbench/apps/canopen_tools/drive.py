@@ -169,7 +169,7 @@ def drive(
 
         file = eds.name if bench is None and eds.is_file() else "its EDS file"
         manual = ManualDrive(master, node_id, name, of_drive, timeout, alive, of_node)
-        by_hand = SetUpDrive(manual, file, of_drive, _allowed(bench), without_units=without, time_out_s=timeout)
+        by_hand = SetUpDrive(manual, file, _allowed(bench), without_units=without)
         if action in (Action.ENABLE, Action.DISABLE, Action.RESET):
             getattr(manual, action)()
         elif action is not Action.STATUS:
