@@ -77,6 +77,7 @@ class Nodes:
 class Exchange:
     """The cycles."""
 
+    in_step: bool
     timing: Any = field(default_factory=lambda: SimpleNamespace(cycles=1))
     silent: set[str] = field(default_factory=set)
     twin_expected_since: int | None = 0  # None: it is not waited for
@@ -111,7 +112,7 @@ class Bench:
     """A connection in its cycles. `changes` and `said`: what it notes."""
 
     def __init__(self, *, lockstep: bool, process: Process | None = None) -> None:
-        self.exchange = Exchange()
+        self.exchange = Exchange(in_step=lockstep)
         self.nodes = Nodes(self.exchange)
         self.changes: list[Change] = []
         self.said: list[str] = []
@@ -121,7 +122,6 @@ class Bench:
             self.nodes,  # type: ignore[arg-type]
             self.exchange,  # type: ignore[arg-type]
             process,  # type: ignore[arg-type]
-            lockstep=lockstep,
             age_limit_cycles=10,
         )
 

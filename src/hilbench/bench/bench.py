@@ -184,7 +184,6 @@ class Bench:
             nodes,
             exchange,
             next((child for child in started.children if child.name == TWIN), None),
-            lockstep=exchange.in_step,
             age_limit_cycles=self._machine.twin_age_limit_cycles,
         )
         self.model_changes = self._diagnosis_beside(nodes, exchange)
@@ -209,9 +208,7 @@ class Bench:
             observers=self._observers,
             stop_on_unexpected_frames=config.safety.on_foreign_frames == "stop",
         )
-        self._drives = Drives(
-            state, nodes, exchange, self._cycle, lockstep=exchange.in_step, crash_report=self._unexpected
-        )
+        self._drives = Drives(state, nodes, exchange, self._cycle, crash_report=self._unexpected)
         for warning in started.warnings:
             state.reports.note("realtime", warning)
         return self._drives

@@ -82,7 +82,7 @@ _SETTLE_S = 0.3
 class Drives:
     """Enables and stops the drives. `crash_report`: one line of an unexpected exception.
 
-    In `lockstep` no SYNC is sent during an SDO request, in real time it continues.
+    In step (`Exchange.in_step`) no SYNC is sent during an SDO request, in real time it continues.
     """
 
     def __init__(
@@ -92,14 +92,12 @@ class Drives:
         exchange: Exchange,
         cycle: BenchCycle,
         *,
-        lockstep: bool,
         crash_report: Callable[[Exception], str],
     ) -> None:
         self._state = state
         self._nodes = nodes
         self._exchange = exchange
         self._cycle = cycle
-        self._lockstep = lockstep
         self._unexpected = crash_report
         self._was_enabled = False
         #: Axes that their drives did not hold any more as the others were brought to rest, with what is known of it.
@@ -122,7 +120,7 @@ class Drives:
 
     def _check_virtual_axes(self) -> None:
         """Check by SDO that the virtual axes are enabled."""
-        if self._lockstep:
+        if self._exchange.in_step:
             self._nodes.check_virtual_axes_enabled()
             return
         with ThreadPoolExecutor(1) as pool:

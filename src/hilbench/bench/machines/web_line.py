@@ -161,7 +161,7 @@ def _probing(
     found = controls[probed[0]].probes if probed else ProbingConfig()
     loop = loops[probed[0]] if probed else next(iter(loops.values()))
     of_all = [LoopNames.of(loop.names.drive, span, config.shape).twin for span in config.shape.estimated]
-    return Probing(found, loop, loop.names.twin, line_speed, state, at_rest, of_all)
+    return Probing(found, loop, line_speed, state, at_rest, of_all)
 
 
 def _rest_movement(config: BenchConfig, axes: Sequence[Any]) -> StandstillExcitation | None:

@@ -43,14 +43,13 @@ _ALLOW = "hilbench sdo write bench 2200:7 1 (0 refuses)"
 class Probing(CyclicTask):
     """Probes of one tension loop; a `SettableQuantity`: 1 requests or allows one, 0 ends or refuses it.
 
-    `signals`: of the loop's span; `at_rest`: the movement permitted at rest, `of_all`: all spans that it identifies.
+    `at_rest`: the movement permitted at rest, `of_all`: all spans that it identifies.
     """
 
     def __init__(
         self,
         config: ProbingConfig,
         loop: TensionTask,
-        signals: TwinSignals,
         line_speed: Reference,
         state: BenchState,
         at_rest: StandstillExcitation | None = None,
@@ -60,8 +59,7 @@ class Probing(CyclicTask):
         self._loop = loop
         self._at_rest = at_rest
         self._moves = False  # the probe under way is a movement at rest
-        self._signals = attrgetter(signals.modulus, signals.deviation)
-        self._of_all = [attrgetter(each.modulus, each.deviation) for each in of_all]
+        self._signals, *self._of_all = (attrgetter(each.modulus, each.deviation) for each in (loop.names.twin, *of_all))
         self._line_speed = line_speed
         self._state = state
         self._steady_for_s = 0.0

@@ -48,10 +48,8 @@ class TwinConnection(CyclicTask):
         exchange: Exchange,
         process: ChildProcess | None,
         *,
-        lockstep: bool,
         age_limit_cycles: int,
     ) -> None:
-        self._lockstep = lockstep
         self._twin = state.twin
         self._nodes = nodes
         self._exchange = exchange
@@ -155,7 +153,7 @@ class TwinConnection(CyclicTask):
         pool = ThreadPoolExecutor(1, thread_name_prefix="twin-return")
         self._return = pool.submit(self._nodes.restart_twin)
         pool.shutdown(wait=False)
-        if self._lockstep and answers:
+        if self._exchange.in_step and answers:
             self._exchange.stand_still(self._return, _STAND_STILL_S)
             if self._return.done() and self._end_return(self._return):
                 self._exchange.discard_waiting()
