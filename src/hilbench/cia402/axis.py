@@ -60,11 +60,6 @@ def axes(has: Callable[[int], bool]) -> list[int]:
     return [axis for axis in range(1, MOST_AXES + 1) if all(has(object_of(axis, word)) for word in words)]
 
 
-def pdos_behind(axis: int) -> int:
-    """Offset of the PDO numbers of an axis from those of the first axis."""
-    return _PDOS * (axis - 1)
-
-
 def rpdo_identifier(node_id: int, axis: int) -> int:
     """COB-ID of an axis' RPDO: the predefined connection set has four of a node."""
     return RPDOS[axis - 1] + node_id
@@ -79,7 +74,7 @@ def tpdo_identifiers(node_id: int, axis: int) -> list[int]:
 def pdo_places(axis: int) -> list[tuple[int, int]]:
     """Communication parameters of an axis's RPDO, then of its two TPDOs: of each its own, and those with its default
     identifier, for devices without PDOs from 65 on."""
-    behind, first = pdos_behind(axis), _TPDOS_OF_AXIS * (axis - 1)
+    behind, first = _PDOS * (axis - 1), _TPDOS_OF_AXIS * (axis - 1)
     tpdos = [(TPDO_INDICES[k + behind], TPDO_INDICES[k + first]) for k in range(_TPDOS_OF_AXIS)]
     return [(RPDO_INDICES[behind], RPDO_INDICES[axis - 1]), *tpdos]
 

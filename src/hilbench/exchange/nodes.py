@@ -271,13 +271,11 @@ class Nodes:
 
     def check_virtual_axes_enabled(self) -> None:
         """Raise BenchFaultError when a virtual axis did not follow its real axis into OPERATION ENABLED."""
-        assert self._master is not None, "configured before it is enabled"
         for drive in self.virtual_axes:
-            statusword = int(self._master.sdo_read(drive.settings.node_id, objects.STATUSWORD))
-            state = decode_statusword(statusword)
-            if state is not State.OPERATION_ENABLED:
+            statusword = self.read_statusword(drive)
+            if decode_statusword(statusword) is not State.OPERATION_ENABLED:
                 raise BenchFaultError(
-                    f"{drive.settings.name} (node {drive.settings.node_id}) did not follow its real axis: "
+                    f"{self.sender(drive)} did not follow its real axis: "
                     f"statusword {statusword:04X}h, expected OPERATION ENABLED"
                 )
 

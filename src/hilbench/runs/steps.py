@@ -162,11 +162,11 @@ class Set(CheckedMove):
 
     def run(self, bench: Bench) -> None:
         """Set it; takes no time."""
-        self.make_sure(bench, self.path, self.to)
-        bench.set(self.path, self.to)
-        self._announce(bench)
+        self._give(bench, bench.set)
 
-    def _announce(self, bench: Bench) -> None:
+    def _give(self, bench: Bench, change: Callable[[str, float], None]) -> None:
+        self.make_sure(bench, self.path, self.to)
+        change(self.path, self.to)
         if self.announced and bench.model_changes is not None:
             bench.model_changes.announced(self.path, self.to)
 
@@ -176,9 +176,7 @@ class Step(Set):
 
     def run(self, bench: Bench) -> None:
         """Set it and note the event."""
-        self.make_sure(bench, self.path, self.to)
-        bench.step(self.path, self.to)
-        self._announce(bench)
+        self._give(bench, bench.step)
 
 
 class WaitUntil(Block):
