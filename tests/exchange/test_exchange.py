@@ -105,7 +105,7 @@ def test_outputs_go_out_by_name_before_sync_and_inputs_are_the_answers_to_it(ben
     assert rpdos[0].unpack(velocity)[-1] != 0
     axis = bench.nodes.axes[0]
     assert sample.x1_m == pytest.approx(7 * axis.units.position_rad / 25.0)
-    assert inputs.ages_cycles() == (0, 0, 0)
+    assert inputs.ages_cycles == (0, 0, 0)
     assert not inputs.axes_late
 
 

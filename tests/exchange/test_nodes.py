@@ -106,11 +106,11 @@ def test_a_sample_that_stays_away_stands_and_has_its_age() -> None:
     found = nodes()
     everyone = answers(found, axis1=1, axis2=1, load=1)
     found.decode(everyone)
-    assert found.ages_cycles() == (0, 0, 0)
+    assert found.ages_cycles == (0, 0, 0)
     without_axis2 = answers(found, axis1=2, load=2)
     found.decode(without_axis2)
     found.decode(without_axis2)
-    assert found.ages_cycles() == (0, 2, 0)
+    assert found.ages_cycles == (0, 2, 0)
     assert found.axes_late
     assert filled(found).x2_m == pytest.approx(found.axes[1].units.position_rad / RAD_PER_M)
 
@@ -118,7 +118,7 @@ def test_a_sample_that_stays_away_stands_and_has_its_age() -> None:
 def test_a_late_load_motor_makes_no_axis_late() -> None:
     found = nodes()
     found.decode(answers(found, axis1=1, axis2=1))
-    assert found.ages_cycles()[2] > 0
+    assert found.ages_cycles[2] > 0
     assert not found.axes_late
 
 

@@ -36,6 +36,7 @@ class Inputs(Protocol):
     def axes_late(self) -> bool:
         """True if the positions of the axes are not those of this SYNC."""
 
+    @property
     def ages_cycles(self) -> tuple[int, ...]:
         """Age in cycles of each drive's measurements in use; 0 where it has answered this SYNC in time."""
 

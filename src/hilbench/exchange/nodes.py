@@ -118,7 +118,9 @@ class Nodes:
             for pdo in drive.pdos.tpdos
         }
         self._tpdos_of = [[self.answers[pdo.cob_id] for pdo in drive.pdos.tpdos] for drive in self.drives]
-        self._in_time = self._ages_cycles = (0,) * len(self._tpdos_of)
+        self._in_time = (0,) * len(self._tpdos_of)
+        #: Age in cycles of each drive's sample in use; 0 where it has answered this SYNC in time.
+        self.ages_cycles = self._in_time
         self._twin_tpdos = [Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name) for pdo in self.io.tpdos]
         self.answers |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
         self._watch: UnexpectedSenders | None = None  # from when the master is known
@@ -383,7 +385,7 @@ class Nodes:
             self.malformed += tpdo.wrong_size
             if tpdo.data is not None:
                 data[cob_id] = tpdo.data
-        self._ages_cycles = tuple(max(tpdo.age_cycles for tpdo in of_drive) for of_drive in self._tpdos_of)
+        self.ages_cycles = tuple(max(tpdo.age_cycles for tpdo in of_drive) for of_drive in self._tpdos_of)
         self.unexpected_frames = self._watch.look(frames, tpdos.values()) if self._watch else []
         return data
 
@@ -391,14 +393,10 @@ class Nodes:
         """Foreign frames (neither the bench's nor its nodes') among frames that are not decoded."""
         return self._watch.look(frames, ()) if self._watch else []
 
-    def ages_cycles(self) -> tuple[int, ...]:
-        """Age in cycles of each drive's sample in use; 0 where it has answered this SYNC in time."""
-        return self._ages_cycles
-
     @property
     def axes_late(self) -> bool:
         """True if the positions of the axes are not those of this SYNC."""
-        return self._ages_cycles is not self._in_time and any(self._ages_cycles[: len(self.axes)])
+        return self.ages_cycles is not self._in_time and any(self.ages_cycles[: len(self.axes)])
 
     def twin_age(self, syncs: int) -> int:
         """Age in cycles of the twin's last answer, `syncs` after the twin was started."""
@@ -430,7 +428,7 @@ class Nodes:
         """Prepare cycles with answers to SYNC only: clear messages and ages."""
         self._inbox.clear()
         self.unexpected_frames = []
-        self._ages_cycles = self._in_time
+        self.ages_cycles = self._in_time
 
     def pass_fast_path(self, cycles: int, heartbeats: Iterable[tuple[int, int]], reported: int = 0) -> None:
         """Take `cycles` fast-path cycles, with the twin's status in `measured`: node ids with the cycle, from 1 on,

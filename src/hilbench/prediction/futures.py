@@ -49,11 +49,6 @@ class Offsets:
     lasting_sd: Array
     noise: Array
 
-    @classmethod
-    def none(cls, quantities: int) -> Self:
-        """Offsets of measurements without noise and without deviation from the futures."""
-        return cls(np.zeros(quantities), np.zeros(quantities), np.zeros(quantities))
-
 
 @dataclass(frozen=True)
 class Tally:
@@ -139,7 +134,7 @@ class Futures(ABC, Generic[Present, Courses]):
 
     def no_offsets(self) -> Offsets:
         """Offsets of measurements without noise and without deviation from the futures."""
-        return Offsets.none(self.quantities)
+        return Offsets(*np.zeros((3, self.quantities)))
 
     def warm_up(self) -> None:
         """Compile, or load, the functions of a prediction."""

@@ -156,7 +156,7 @@ class ModelChanges(CyclicTask):
         """Keep the sample for the next chunk."""
         if self._process is not None:
             elapsed_cycles = 0 if self._exchange.in_step else self._exchange.pacing.missed  # for the plant
-            cycle, late = sample.cycle + elapsed_cycles, any(inputs.ages_cycles())
+            cycle, late = sample.cycle + elapsed_cycles, any(inputs.ages_cycles)
             self._rows.append(self._pack(*self._row(sample), cycle, late))
 
     # -- the diagnosis ---------------------------------------------------------------------------------------

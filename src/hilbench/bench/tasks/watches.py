@@ -81,7 +81,7 @@ class LatenessWatch(CyclicTask):
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Count this cycle."""
         twin_age = 0 if self._twin.away else sample.twin_age_cycles
-        self._timeliness.update((*inputs.ages_cycles(), twin_age))
+        self._timeliness.update((*inputs.ages_cycles, twin_age))
         trouble = self._timeliness.trouble()
         if trouble:
             self._reports.condition("late samples", trouble)
