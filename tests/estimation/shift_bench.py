@@ -111,7 +111,7 @@ class Scored:
     def __init__(self, config: ExperimentConfig, until_s: float, *, draws: bool) -> None:
         shape, self._cycle_s = config.shape, config.cycle_time_s
         self._after = round(AFTER_STEP_S / self._cycle_s)
-        turns = config.machine_kind == "servo_axis"
+        turns = config.machine.machine_kind == "servo_axis"
         self._speed = "v1_rad_s" if turns else f"v{shape.axes}_m_s"
         self.estimates = {name: EstimateScore() for name in (("J",) if turns else _names("E", shape, shape.estimated))}
         self.tensions = {name: TensionScore() for name in _names("F", shape, () if turns else shape.controlled)}

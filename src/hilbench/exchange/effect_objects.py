@@ -40,13 +40,13 @@ def effect_place(config: BenchConfig, path: str) -> tuple[int, int, int]:
     problem = config.path_problem(path)
     if problem:
         raise UnusableValueError(f"path {path!r}, expected {problem}")
-    of = parse_effect_path(path, config.machine_kind)
+    of = parse_effect_path(path, config.machine.machine_kind)
     assert of.axis is not None, "effects of the hardware are effects of an axis"
     part = config.parts_of(Role.AXIS)[of.axis - 1]
-    index, sub = effect_object(of.effect, of.parameter, config.machine_kind)
+    index, sub = effect_object(of.effect, of.parameter, config.machine.machine_kind)
     index += objects_behind(part.node_axis)
     od = dictionary_of(part)
-    if not _is_effect(od.get(index), find_effect(of.effect, config.machine_kind)):
+    if not _is_effect(od.get(index), find_effect(of.effect, config.machine.machine_kind)):
         found = repr(od[index].name) if index in od else "nothing"
         raise UnusableValueError(
             f"path {path!r}, expected an EDS file of {part.label} with '{of.effect}' as {index:04X}h, "

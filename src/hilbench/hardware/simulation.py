@@ -158,7 +158,7 @@ def hardware(config: BenchConfig) -> HostedDevices:
         device = devices[node_id]
         drives.append(SimulatedDrive(device, port, declared_units(part), axis=part.node_axis))
         if part.role is Role.AXIS and part.axis is not None:
-            bind_effect_objects(device, _effect_setter(rig, part.axis), config.machine_kind, part.node_axis)
+            bind_effect_objects(device, _effect_setter(rig, part.axis), config.machine.machine_kind, part.node_axis)
     application = RigApplication(drives, ports, rig, time, config.cycle_time_s, rig.lock_to)
     return HostedDevices(list(devices.values()), clock, application)
 

@@ -124,7 +124,7 @@ def _check_criteria(loaded: LoadedConfig) -> None:
     known = {**metrics_of(config.machine.kind, config.shape).metrics, **OF_RUNS}
     for number, criterion in enumerate(config.criteria):
         place, problem = loaded.document.place(("criteria", number, "metric")), None
-        if find_found_metric(criterion.metric, (config.machine_kind,)) is not None:
+        if find_found_metric(criterion.metric, (config.machine.machine_kind,)) is not None:
             if config.twin.live_diagnosis is None:
                 problem = "of a run beside which nothing is diagnosed, expected 'twin: {live_diagnosis: {}}'"
         elif criterion.metric not in known:

@@ -71,7 +71,7 @@ def start_of(config: ExperimentConfig) -> State:
         if again or entry.station is not None:  # a path changes the last one of a kind, and none of a station
             others.append(entry)
             continue
-        known = find_effect(entry.effect, config.machine_kind)
+        known = find_effect(entry.effect, config.machine.machine_kind)
         at = entry.axis if known.per_axis else entry.section
         part = "" if at is None else f"{known.part}{at}."
         values |= {f"{_LOAD_EFFECT}{entry.effect}.{part}{name}": value for name, value in entry.parameters.items()}

@@ -246,11 +246,6 @@ class BenchConfig(Block):
     # -- the machine -------------------------------------------------------------------------------------
 
     @property
-    def machine_kind(self) -> MachineKind:
-        """Kind of machine by whose effects it goes."""
-        return self.machine.machine_kind
-
-    @property
     def web_line(self) -> ModelParameters:
         """The machine, which is a web line. Raises UnusableInputError for one of another kind."""
         if isinstance(self.machine, ModelParameters):
@@ -425,7 +420,7 @@ class BenchConfig(Block):
         problem = path_problem(path, self.machine, self.shape, self.loaded_axes)
         if problem or not path.startswith("hardware."):
             return problem
-        axis = parse_effect_path(path, self.machine_kind).axis
+        axis = parse_effect_path(path, self.machine.machine_kind).axis
         part = self.parts_of(Role.AXIS)[(axis or 1) - 1]
         return None if part.is_simulated else f"an axis of the simulated hardware, '{part.name}' is a real drive"
 

@@ -41,7 +41,7 @@ class Function(NamedTuple):
 
 def kind_of(config: BenchConfig) -> str:
     """Kind of needed_code.json: the machine's, with what else its runs compute."""
-    kind, shape = config.machine_kind, config.shape
+    kind, shape = config.machine.machine_kind, config.shape
     if shape.has_stations or shape.reels:
         return f"{kind} with stations"
     return f"{kind} of several axes" if shape.axes > 2 else kind

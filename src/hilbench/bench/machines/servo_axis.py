@@ -43,7 +43,7 @@ def shaft_load_model(
     machine: Follower = emulated(config.emulated_shaft(), real, cycle_s)
     if config.load.fmu is not None:
         truths = [quantity.name for quantity in machine.describe().outputs]
-        machine = FmuFollower(config.load.fmu, config.machine_kind, "rad", 1, cycle_s, truths, report)
+        machine = FmuFollower(config.load.fmu, config.machine.machine_kind, "rad", 1, cycle_s, truths, report)
     return LoadModel(
         machine, [1], cycle_s, emulation_delay_s(sampled_shaft(real, cycle_s)), _LEAST_TRAVEL_RAD, config.load.effects
     )

@@ -38,7 +38,7 @@ def web_load_model(config: BenchConfig, report: Callable[[str], None] = print) -
         machine = LineFollower(emulated_web(model, config.load))
     else:
         truths = [quantity.name for quantity in LineFollower(model).describe().outputs]
-        kind, unit = config.machine_kind, model.position_unit
+        kind, unit = config.machine.machine_kind, model.position_unit
         machine = FmuFollower(config.load.fmu, kind, unit, model.axis_count, cycle_s, truths, report)
     least_m = least_travel_m(model, cycle_s)
     own_play = None if isfinite(least_m) else play(model.position_unit, cycle_s)
