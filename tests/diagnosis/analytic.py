@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from tests.plant.models import effect, lone_axis, model
 
 from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import Condition
 from hilbench.diagnosis.space import Space
@@ -22,12 +23,8 @@ Array = NDArray[np.float64]
 PERIOD_S, SECONDS, NOISE = 0.005, 30.0, 0.05
 
 
-class Analytic:
+class Analytic(Predictor):
     """One signal that is a formula of a parameter vector, measured with white noise of a known size."""
-
-    emulation = None
-    every = 1
-    narrower = None
 
     def __init__(self, formula: Callable[[Array], Array], truth: Array, *, exact: bool = True, seed: int = 0) -> None:
         """formula: (P,) to (n,); truth: the parameter vector (P,) of what is measured."""

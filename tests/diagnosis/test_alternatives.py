@@ -7,8 +7,8 @@ from tests.diagnosis.analytic import Axis, Ringing
 from tests.plant.models import effect, model
 from tests.simulated_recordings import hidden_recording
 
-from hilbench.diagnosis.alternatives import FreeRules
 from hilbench.diagnosis.fit import fit
+from hilbench.diagnosis.free_rules import FreeRules
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Space

@@ -10,9 +10,9 @@ from tests.plant.models import effect, model
 from tests.simulated_recordings import hidden_recording
 from tests.tiers import slow
 
+from hilbench.diagnosis.loop_check import Loop
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import choice
-from hilbench.diagnosis.web_line.loop_check import Loop
 from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters

@@ -9,10 +9,9 @@ import pytest
 from tests.diagnosis.analytic import NOISE, Axis, Bent, Ringing
 from tests.plant.models import effect
 
-from hilbench.diagnosis.alternatives import FreeRules
+from hilbench.diagnosis.free_rules import FreeRules, price
 from hilbench.diagnosis.search import search
 from hilbench.diagnosis.selection import Selection
-from hilbench.diagnosis.steps import price
 from hilbench.diagnosis.terms import Place
 
 SMOOTH = ("coulomb_friction", "viscous_friction", "friction_asymmetry", "torque_offset", "inertia_mismatch")

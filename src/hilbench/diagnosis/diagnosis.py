@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from math import ceil, log10
 from pathlib import Path
@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 
 from hilbench.arrays import Array
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.alternatives import FreeRules
-from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, simple_beside, unidentifiable_beside
 from hilbench.diagnosis.data_cleaning import Repair
 from hilbench.diagnosis.fed_forward import without_excess, without_oscillation
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_interval_s
 from hilbench.diagnosis.fit_with_residual_noise import lasting_change, stated_uncertainty, weights
+from hilbench.diagnosis.free_rules import FreeRules
+from hilbench.diagnosis.loop_check import nuisance_of
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
+from hilbench.diagnosis.measured_rules import first_unseen, settled_beside, unidentifiable_modes
 from hilbench.diagnosis.noise import NORMAL_95, Whitening, floor, rms
-from hilbench.diagnosis.predictor import Choice, choice, deviations_of, torques_of
+from hilbench.diagnosis.predictor import Choice, Predictor, choice, deviations_of, torques_of
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import (
     Condition,
@@ -34,14 +35,13 @@ from hilbench.diagnosis.residual_analysis import (
     located,
     misfits,
 )
-from hilbench.diagnosis.resonance import first_unseen, settled_beside, unidentifiable_modes
+from hilbench.diagnosis.residual_noise import uncertainty
 from hilbench.diagnosis.search import Announce, search
 from hilbench.diagnosis.select_measured import MeasuredRules
 from hilbench.diagnosis.selection import Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
 from hilbench.diagnosis.terms import Place, Term, extended, parts
-from hilbench.diagnosis.web_line.loop_check import nuisance_of
 from hilbench.plant.effect import Effect, Section
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -57,6 +57,11 @@ _PROFILE_S: Final = 0.3
 _ROWS_OF_WHERE: Final = 8
 #: Orders, in turns of the motor, of which it is said from which on these data can't show a ripple.
 _ORDERS: Final = (1.0, 2.0, 4.0, 6.0)
+#: Effects that change all of a torque, and so what the other axis makes of it, which is not known beforehand; an
+#: inertia, to which what is carried adds; and a torsional mode, which an arm has by itself.
+_UNIDENTIFIABLE: Final = frozenset({"torque_scale", "torque_delay", "feed_forward", "inertia_mismatch", "resonance"})
+#: The experiment that identifies them.
+_OTHER_HELD: Final = "the same motion while the other axis is held"
 _PROFILES: Final = 4
 _DIGITS: Final = 8
 _LEAST_DIGITS: Final = 5
@@ -96,8 +101,8 @@ class NamedEffect:
     axis: int | None
     parameters: dict[str, Value]
     evidence: dict[str, float]
-    tied_with: list[str]
-    told_apart_by: str | None
+    tied_with: list[str] = field(default_factory=list)
+    told_apart_by: str | None = None
     section: Section | None = None  #: the span of several; None: in all of them
 
     @property
@@ -233,7 +238,7 @@ def diagnosed(
     explanation = explained(chosen, model, data, announce)
     for corrected in (without_excess, without_oscillation):
         space = explanation.space
-        proposer = proposer_for(space.predictor, model, data)
+        proposer = _proposer_for(space.predictor, model, data)
         if (mended := corrected(space, proposer, explanation.selection, explanation.data)) is not None:
             explanation = explained(choice(model, mended, emulation), model, mended, announce)
     return concluded(explanation, announce)
@@ -254,22 +259,42 @@ class Explained:
         return self.selection.fit.terms
 
 
+def _unidentifiable_beside(predictor: Predictor, model: Machine) -> tuple[Effect, ...]:
+    """Effects that are not identifiable with another axis coupled; none where there is no other."""
+    if predictor.arm is None:
+        return ()
+    return tuple(effect for effect in machines.vocabulary(model) if effect.id in _UNIDENTIFIABLE)
+
+
+def _proposer_for(predictor: Predictor, model: Machine, data: Measured, without: Collection[str] = ()) -> Proposer:
+    """Proposer of effects that are identifiable by a prediction; without: effects that are not looked for.
+
+    With another axis coupled, gravity is looked for in any arc: else it is taken for one of the torques that go with
+    both.
+    """
+    unidentifiable = _unidentifiable_beside(predictor, model)
+    vocabulary = tuple(
+        effect for effect in machines.vocabulary(model) if effect not in unidentifiable and effect.id not in without
+    )
+    return Proposer(model, data, vocabulary, any_arc=predictor.arm is not None)
+
+
 def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce) -> Explained:
     """Search for what the model lacks, by a prediction."""
     predictor = chosen.predictor
     space = Space(model, predictor, data.period_s)
-    proposer = proposer_for(predictor, model, data)
+    proposer = _proposer_for(predictor, model, data)
     if predictor.exact:
         return Explained(space, chosen, data, search(FreeRules(space, proposer), announce))
-    rules = MeasuredRules(space, proposer, simple_beside(predictor))
+    rules = MeasuredRules(space, proposer)
     selection = search(rules, announce)
     if (settled := settled_beside(rules.space, selection.fit)) is not None:
-        rules = MeasuredRules(Space(model, settled, data.period_s), proposer, simple_beside(predictor))
+        rules = MeasuredRules(Space(model, settled, data.period_s), proposer)
         selection = search(rules, announce)
     # Found given the others a mode is as little identified: once more without.
     if few := unidentifiable_modes(rules.space, selection.fit):
-        proposer = proposer_for(predictor, model, data, {term.effect.id for term in few})
-        rules = MeasuredRules(rules.space, proposer, simple_beside(predictor))
+        proposer = _proposer_for(predictor, model, data, {term.effect.id for term in few})
+        rules = MeasuredRules(rules.space, proposer)
         selection = replace(search(rules, announce), of_too_few=few)
     return Explained(rules.space, replace(chosen, predictor=rules.space.predictor), data, selection)
 
@@ -334,7 +359,7 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
     space, chosen, data, selection = found.space, found.chosen, found.data, found.selection
     predictor, before, test, of = chosen.predictor, space.before, space.split.test, _Verdict.of(found)
     trained, final, floors, conditions = of.judged.trained, of.judged.final, of.floors, of.conditions
-    proposer = proposer_for(predictor, space.model, data)
+    proposer = _proposer_for(predictor, space.model, data)
     names, scaled = in_floors(predictor.names, before, floors)
     effects = _named(space.model, of.certain, of.judged, selection)
     gaps = [
@@ -360,8 +385,8 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
             *_unseen_resonances(space, proposer, selection),
             *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in unidentifiable),
             *(
-                Unobservable(effect.id, 1, None, effect.parameter(effect.strength[0]).unit, OTHER_HELD)
-                for effect in unidentifiable_beside(predictor, space.model)  # while the other axis is coupled
+                Unobservable(effect.id, 1, None, effect.parameter(effect.strength[0]).unit, _OTHER_HELD)
+                for effect in _unidentifiable_beside(predictor, space.model)  # while the other axis is coupled
             ),
         ],
         missing_channels=data.missing,
@@ -374,11 +399,7 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
         simulations=space.simulations,
         emulation=predictor.emulation,
         predicted_on=chosen.basis,
-        nuisance=[
-            *_nuisance(space.model, chosen, effects),
-            *_presliding(space.model, chosen),
-            *_coupling(space, final),
-        ],
+        nuisance=_nuisance(space, chosen, final, effects),
         laws=_laws(space, names, final.residual[list(floors)], conditions) if of.unexplained else [],
         repairs=data.repairs,
     )
@@ -397,34 +418,42 @@ def _beyond_noise(space: Space, final: Fit) -> list[Misfit]:
     return beyond_noise(predictor.names, final.residual, predictor.rows, deviations_of(predictor), others)
 
 
-def _nuisance(model: Machine, chosen: Choice, effects: list[NamedEffect]) -> list[NamedEffect]:
-    """Deviations of the drives' loops from the model's, where certain. A torque reported late looks like a loop lag."""
+def _nuisance(space: Space, chosen: Choice, final: Fit, effects: list[NamedEffect]) -> list[NamedEffect]:
+    """Deviations of the drives' loops from the model's, where certain; of a lone axis that shows them the presliding
+    displacement of its friction, and coupling torques of another axis. A torque reported late looks like a loop lag."""
+    model, predictor = space.model, chosen.predictor
     late = {e.axis for e in effects if e.effect == "torque_delay"}
-    result: list[NamedEffect] = []
-    if not isinstance(model, ModelParameters):
-        return result
-    for loop in chosen.loops:
-        for effect, parameters in nuisance_of(loop, model).items():
-            if effect == "drive_lag" and loop.axis in late:
-                continue
-            values = {name: Value.of(*known) for name, known in parameters.items()}
-            result.append(NamedEffect(effect, loop.axis, values, {"likelihood_ratio": loop.gain}, [], None))
-    return result
+    found = [
+        NamedEffect(
+            effect, loop.axis, {n: Value.of(*known) for n, known in values.items()}, {"likelihood_ratio": loop.gain}
+        )
+        for loop in (chosen.loops if isinstance(model, ModelParameters) else [])
+        for effect, values in nuisance_of(loop, model).items()
+        if not (effect == "drive_lag" and loop.axis in late)
+    ]
+    if not isinstance(predictor, OnMeasuredMotion):
+        return found
+    if (sliding := predictor.presliding) is not None:
+        unit = model.position_unit
+        travel = Value.of(sliding.presliding_travel, sliding.ci95, unit)
+        found.append(NamedEffect("presliding", 1, {f"way_{unit}": travel}, {}))
+    if predictor.arm is not None:
+        found.append(NamedEffect("coupling", 1, _couplings(space, predictor, final), {}))
+    return found
 
 
-def _presliding(model: Machine, chosen: Choice) -> list[NamedEffect]:
-    """Presliding displacement of dry friction after a reversal, of a lone axis that shows one."""
-    if not isinstance(chosen.predictor, OnMeasuredMotion) or chosen.predictor.presliding is None:
-        return []
-    found, unit = chosen.predictor.presliding, model.position_unit
-    values = {f"way_{unit}": Value.of(found.presliding_travel, found.ci95, unit)}
-    return [NamedEffect("presliding", 1, values, {}, [], None)]
-
-
-def _coupling(space: Space, final: Fit) -> list[NamedEffect]:
-    """Coupling torques of another axis at a lone one, where its motion was recorded."""
-    values = {name: Value.of(*known) for name, known in couplings(space, final).items()}
-    return [NamedEffect("coupling", 1, values, {}, [], None)] if values else []
+def _couplings(space: Space, predictor: OnMeasuredMotion, found: Fit) -> dict[str, Value]:
+    """Torques of another axis at the joint, by name, fitted with the terms that were found."""
+    alone = replace(space, predictor=predictor.uncoupled)
+    beside = alone.point(found.terms, alone.residual(found.terms)).derivatives
+    wide = np.concatenate([predictor.couplings[:, None], beside])[..., predictor.rows]
+    known = uncertainty(wide, found.residual[..., predictor.rows])
+    half = known.deviations * known.quantiles(0.95)
+    strengths = predictor.coupled_by(space.packed(found.terms))
+    return {
+        name: Value.of(value, (value - error, value + error), "N·m" if name.endswith("_Nm") else "kg·m²")
+        for (name, value), error in zip(strengths.items(), half.tolist(), strict=False)
+    }
 
 
 def _laws(space: Space, names: tuple[str, ...], residuals: Array, conditions: list[Condition]) -> list[SparseLaw]:

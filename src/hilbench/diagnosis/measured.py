@@ -45,6 +45,8 @@ _NOTHING_MOVES_M_S: Final = 1e-3
 _OVER_NOISE, _STEP_S = 30.0, 0.1
 #: Time without commands after which a free run has forgotten nothing it should and knows nothing it must, s.
 _LONGEST_GAP_S: Final = 0.5
+#: How long standstill acts on what comes after it, s, and the share of a recording that may be left out for it.
+_MOVING_S, _MOSTLY = 0.25, 0.6
 #: Share by which two channels of one motion may differ.
 _SAME_MOTION: Final = 0.5
 #: Least share of a motion's variance that two channels of it have in common.
@@ -130,6 +132,13 @@ class Measured:
             return np.ones(len(self.t_s), bool)
         width = round(around_s / self.period_s)
         return np.asarray(np.convolve(self.left_out, np.ones(2 * width + 1), "same") < 0.5)
+
+    def usable_in_motion(self, at_rest: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(n,): the rows as they were measured, without those at rest (n,), where dry friction is not one law, and what
+        these act on: that is forgotten `_MOVING_S` after the axes move again."""
+        near = np.convolve(at_rest, np.ones(round(_MOVING_S / self.period_s) + 1), "full")[: len(at_rest)] > 0.0
+        usable = ~near if np.mean(near) < _MOSTLY else np.ones(len(at_rest), bool)
+        return np.asarray(usable & self.usable(_MOVING_S))
 
 
 def measured_from(recording: Recording, model: Machine, place: str | Path) -> Measured:

@@ -19,8 +19,9 @@ from hilbench.diagnosis import machines
 from hilbench.diagnosis.coupling import Arm, Motion, by_accelerations, columns, explains, left_unseen, likelier
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.noise import NORMAL_95, floor, rms
+from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.presliding import Presliding, presliding, shortest
-from hilbench.diagnosis.residual_analysis import Condition
+from hilbench.diagnosis.residual_analysis import Condition, of_motion
 from hilbench.diagnosis.smooth_motion import smoothed
 from hilbench.diagnosis.steady_sine import evenly_with, frequency_of_sine, harmonics
 from hilbench.plant.model_file import Machine
@@ -198,7 +199,7 @@ def _count_between_rows(position: Array, moves: NDArray[np.bool_]) -> float:
     return float(np.min(np.abs(position[short[:, 1]] - position[short[:, 0]]))) if len(short) >= _COUNTS else 0.0
 
 
-class OnMeasuredMotion:
+class OnMeasuredMotion(Predictor):
     """The torque that the measured motion of a lone axis needs; no control loop has to be known.
 
     Motion and torque pass the same filter, which is as wide as the encoder's noise allows.
@@ -219,8 +220,7 @@ class OnMeasuredMotion:
         """
         self._model, self._data = model, data
         self.arm = arm
-        self.names = ("tau1_Nm",)
-        self.emulation = None
+        self.names, self.exact = ("tau1_Nm",), False
         self._period_s = data.period_s
         band: MotionFilter = _filter_for(data) if wider is None else wider._filter
         if corner_hz is not None:
@@ -233,7 +233,6 @@ class OnMeasuredMotion:
         # With all that the filter takes, so that what is predicted passes one filter, as what is measured does.
         self._driving = self._filter.driving(data.x_m[1])
         self._shortest = shortest(self._driving, self.corner_hz)
-        self.exact = False
         self.tolerances = np.zeros(1)
         self.measured = self._filter.compared(data.tau_Nm[1])[None]
         self._noise_Nm = floor(data.tau_Nm[1]) * self._filter.noise_gain
@@ -391,9 +390,7 @@ class OnMeasuredMotion:
         reversal."""
         step, unit = slice(None, None, self.every), self._model.position_unit
         return [
-            Condition("time", "s", self._t_s[step], spectral=True),
-            Condition("speed of axis 1", f"{unit}/s", self._v[step]),
-            Condition("acceleration of axis 1", f"{unit}/s²", self._a[step]),
+            *of_motion(self._t_s[step], 1, unit, self._v[step], self._a[step]),
             Condition("position of axis 1", unit, self._x[step], spectral=True),
             Condition("travel since the last reversal of axis 1", unit, self._since_reversal()[step]),
         ]
@@ -459,11 +456,8 @@ class OnMeasuredMotion:
         return result
 
     def doubts(self, parameters: Array) -> Array:
-        """(shapes, 1, n): errors of a right prediction in addition to noise, each to one standard deviation.
-
-        A rigid inertia that the model has not, a torque that is read some time within a row, and how friction turns
-        over.
-        """
+        """(shapes, 1, n): a rigid inertia that the model has not, a torque that is read some time within a row, and how
+        friction turns over."""
         late = 0.5 * np.gradient(self._required(parameters)[0]) / self.every
         others = self._beside(late[None, None])
         return np.concatenate([_INERTIA_KNOWN * self.of_inertia, others, self.doubt_of_turning(parameters)])
@@ -543,11 +537,6 @@ def coupled_motion(model: Machine, data: Measured) -> OnMeasuredMotion | None:
     if not explains(best.left_unseen(), alone.left_unseen()):
         return None
     return OnMeasuredMotion(model, data, None, best.arm, best.corner_hz)
-
-
-def is_coupled(predictor: object) -> bool:
-    """True if a prediction has a coupled axis."""
-    return isinstance(predictor, OnMeasuredMotion) and predictor.arm is not None
 
 
 def _weighed(band: MotionFilter, data: Measured, inertia: float) -> MotionFilter:

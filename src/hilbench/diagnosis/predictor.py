@@ -1,18 +1,20 @@
-"""Interface of a prediction of a recording's measured signals from a parameter vector."""
+"""Prediction of a recording's measured signals from a parameter vector, and which one is chosen."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilbench.arrays import Array
+from hilbench.arrays import Array, Rows
+from hilbench.diagnosis.coupling import Arm
+from hilbench.diagnosis.loop_check import Loop
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.residual_analysis import Condition
-from hilbench.diagnosis.web_line.loop_check import Loop
 from hilbench.machine_kinds import machine_part
 from hilbench.plant.model_file import Machine
 
@@ -22,49 +24,51 @@ RECORDED_COMMANDS: Final = "the recorded commands"
 _UNEVEN_CYCLES: Final = 1e-6
 
 
-class Predictor(Protocol):
-    """Prediction that a diagnosis can use."""
+class Predictor(ABC):
+    """Prediction of a recording's signals that a diagnosis can use."""
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the signals."""
-
-    @property
-    def measured(self) -> Array:
-        """(signals, n)."""
-
-    @property
-    def rows(self) -> NDArray[np.bool_]:
-        """(n,): those that count."""
-
-    @property
-    def every(self) -> int:
-        """Rows of the recording per row of the prediction."""
-
-    @property
-    def exact(self) -> bool:
-        """True if a right model leaves white noise and nothing else."""
-
-    @property
-    def tolerances(self) -> Array:
-        """(signals,): possible error of each signal in addition to its noise."""
-
-    @property
-    def emulation(self) -> AnyEmulation | None:
-        """Emulation of web or shaft by a load motor; None where they were real."""
+    names: tuple[str, ...]  #: of the signals
+    measured: Array  #: (signals, n)
+    rows: Rows  #: (n,): those that count
+    tolerances: Array  #: (signals,): possible error of each signal in addition to its noise
+    every: int = 1  #: rows of the recording per row of the prediction
+    exact: bool = True  #: a right model leaves white noise and nothing else
+    emulation: AnyEmulation | None = None  #: of web or shaft by a load motor; None where they were real
+    arm: Arm | None = None  #: how a lone axis is coupled with another one; None: it is not
 
     @property
     def narrower(self) -> Predictor | None:
         """Prediction in half the band of frequencies; None where all are compared."""
+        return None
 
     def floor(self, signal: int) -> float:
         """Standard deviation of the noise of a signal, from the recording alone."""
+        return floor(self.measured[signal])
 
+    @abstractmethod
     def conditions(self, parameters: Array) -> list[Condition]:
         """States that residuals may depend on, time first; (n,) each."""
 
+    @abstractmethod
     def predict(self, parameters: Array) -> Array:
         """(B, P) to (B, signals, n)."""
+
+    def doubts(self, parameters: Array) -> Array:
+        """(shapes, signals, n): errors of a right prediction from parameters (P,) in addition to noise, each to one
+        standard deviation."""
+        return np.empty((0, *self.measured.shape))
+
+    def quick(self, parameters: Array) -> Array | None:
+        """(signals, n): how much more of the measured the quick part of the motion needs by parameters (P,) than by
+        the model; None where nothing is taken from a measured motion's calm part."""
+        return None
+
+    def with_force(self, force_N: float, time_s: float) -> Predictor:
+        """Prediction with a force against the motion of the last roller from a time on.
+
+        Raises TypeError on a lone axis.
+        """
+        raise TypeError("the prediction of a lone axis, expected a web")
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,15 @@ class Condition:
     spectral: bool = False
 
 
+def of_motion(t_s: Array, axis: int, unit: str, speed: Array, acceleration: Array) -> list[Condition]:
+    """Time, and motion (n,) of an axis whose position is in `unit`."""
+    return [
+        Condition("time", "s", t_s, spectral=True),
+        Condition(f"speed of axis {axis}", f"{unit}/s", speed),
+        Condition(f"acceleration of axis {axis}", f"{unit}/s²", acceleration),
+    ]
+
+
 @dataclass(frozen=True)
 class Misfit:
     """A dependence that was found."""

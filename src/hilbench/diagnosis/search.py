@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hilbench.diagnosis.alternatives import FreeRules
+from hilbench.diagnosis.free_rules import FreeRules
 from hilbench.diagnosis.select_measured import MeasuredRules
 from hilbench.diagnosis.selection import Selection
 

@@ -10,12 +10,9 @@ from numpy.typing import NDArray
 
 from hilbench.arrays import Array
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.noise import ORDER, Whitening, scaling, whitening
 from hilbench.diagnosis.predictor import Predictor, deviations_of
 from hilbench.diagnosis.terms import Term, pack_with
-from hilbench.diagnosis.web_line.free_run import FreeRun
-from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
 from hilbench.plant.model_file import Machine
 
 Rows = NDArray[np.int64]
@@ -241,26 +238,18 @@ class Space:
         What terms change follows from its calm part; at the corners of a ramp another inertia, or another scale of the
         torque, is as far off in the quick part as in the calm one, and would be left over.
         """
-        if not isinstance(self.predictor, LineOnMeasuredMotion):
-            return False
-        self._quick = self.predictor.quick(self.packed(terms))
-        return True
+        quick = self.predictor.quick(self.packed(terms))
+        self._quick = self._quick if quick is None else quick
+        return quick is not None
 
     def residual_with_force(self, terms: list[Term], force_N: float, time_s: float) -> Array:
-        """The residual with a force against the motion of the last roller from a time on.
-
-        Raises TypeError on a lone axis.
-        """
-        if not isinstance(self.predictor, FreeRun | LineOnMeasuredMotion):
-            raise TypeError("the prediction of a lone axis, expected a web")
+        """The residual with a force as in `Predictor.with_force`."""
         self.simulations += 1
         predicted = self.predictor.with_force(force_N, time_s).predict(self.packed(terms)[None])
         return np.asarray(self.predictor.measured - self._quick - predicted[0], np.float64)
 
     def doubts(self, terms: list[Term]) -> Array:
         """(shapes, signals, n): errors of a right prediction in addition to noise, each to one standard deviation."""
-        if not isinstance(self.predictor, LineOnMeasuredMotion | OnMeasuredMotion):
-            return np.empty((0, *self.predictor.measured.shape))
         return self.predictor.doubts(self.packed(terms))
 
     def point(self, terms: list[Term], residual: Array | None = None, *, timeless: bool = False) -> Point:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from itertools import pairwise
 from typing import Final
@@ -13,10 +13,10 @@ from scipy.ndimage import uniform_filter1d
 
 from hilbench.arrays import Array
 from hilbench.compiled import record_at
+from hilbench.diagnosis.loop_check import Loop
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Before, Measured
-from hilbench.diagnosis.noise import floor
-from hilbench.diagnosis.residual_analysis import Condition
-from hilbench.diagnosis.web_line.loop_check import Loop
+from hilbench.diagnosis.predictor import Predictor
+from hilbench.diagnosis.residual_analysis import Condition, of_motion
 from hilbench.diagnosis.web_tensions import tension_names
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
@@ -31,9 +31,6 @@ from hilbench.plant.web_line.sizes import machine_sizes
 
 #: Speed from which a recording counts as begun in motion.
 _MOVES_M_S: Final = 10.0 * FRICTION_WIDTH_M_S
-#: How long standstill acts on what comes after it, s, and the share of a recording that may be left out for it.
-_MOVING_S: Final = 0.25
-_MOSTLY: Final = 0.6
 #: Positions are compared without what is slower than this, s, and believed to this share of what the web in the span is
 #: stretched by: in a closed loop they show so much that the rounding of a command would be found as an effect.
 _WINDOW_S: Final = 2.0
@@ -57,13 +54,15 @@ _SHORT_TRAVEL_M: Final = 1e-5
 _STRAIGHT: Final = 0.25
 
 
-class FreeRun:
+class FreeRun(Predictor):
     """The closed model run on the recorded commands; positions as their mean and the differences of neighbours.
 
     All encoders share the clock: their common error is not the one of their differences. With an `emulation` the web is
     the one that a load motor emulates: late, and without the noise of its sensors. With `loops` drives have those
     instead of the model's.
     """
+
+    emulation: Emulation | None
 
     def __init__(
         self,
@@ -117,9 +116,6 @@ class FreeRun:
         if self._all:  # what is late is late for all axes, and their differences do not show it
             mean = len(data.tau_Nm) + model.axis_count - 1
             self.tolerances[mean] = np.hypot(self.tolerances[mean], data.put_off_m)
-        self.every = 1
-        self.exact = True
-        self.narrower = None
         self._start = self._start_state(data)
         self._before, self._more_Nm = data.before, np.zeros(model.axis_count)
         self._web_before = None if data.before is None else LineFollower(model)
@@ -128,7 +124,6 @@ class FreeRun:
         self._slow: dict[tuple[int, ...], tuple[Array, Array]] = {}  # by creep of each span, in steps
         if data.period_s > 1.5 * self._cycle_s:
             self._choose_hold(data)
-
         self._data = data
 
     def with_force(self, force_N: float, time_s: float) -> FreeRun:
@@ -139,40 +134,17 @@ class FreeRun:
         other._boundary = self._boundary - np.outer(against, [0.0, 1.0])
         return other
 
-    def floor(self, signal: int) -> float:
-        """Noise floor from fourth differences of what was measured."""
-        return floor(self.measured[signal])
-
     def conditions(self, parameters: Array) -> list[Condition]:
         """Time, motion of the last axis, tensions and strain rates as simulated, angles."""
-        data, model = self._data, self._model
-        run = self._run(parameters)
-        speed, last = data.commands_m_s[:, -1], model.axis_count
-        found = [
-            Condition("time", "s", data.t_s, spectral=True),
-            Condition(f"speed of axis {last}", "m/s", speed),
-            Condition(f"acceleration of axis {last}", "m/s²", np.gradient(speed, data.period_s)),
-        ]
-        for span in range(1, model.span_count + 1):
-            where, strain = of_span(model, span), run.strain[:, span - 1]
-            found.append(Condition(f"tension{where}", "N", run.F_N[:, span - 1]))
-            found.append(Condition(f"strain rate{where}", "1/s", np.gradient(strain, data.period_s)))
-        for axis, x in sorted(data.x_m.items()):
-            for what, rad_per_m in (("roller", 1.0 / model.radius_m(axis)), ("motor", model.motor_rad_per_m(axis))):
-                name = f"angle of {what} {axis}"
-                found.append(Condition(name, "rad", x * rad_per_m, period=2.0 * np.pi, spectral=True))
-        return found
+        data, run = self._data, self._run(parameters)
+        speed, rates = data.commands_m_s[:, -1], [np.gradient(strain, data.period_s) for strain in run.strain.T]
+        moved = of_motion(data.t_s, self._model.axis_count, "m", speed, np.gradient(speed, data.period_s))
+        return moved + of_line(self._model, run.F_N, rates, data.x_m)
 
     def _usable(self, data: Measured) -> NDArray[np.bool_]:
-        """Rows without the transients of a start in motion, and without standstill, where dry friction is not one law.
-
-        What happens there is forgotten `_MOVING_S` after the axes move again.
-        """
+        """Rows without the transients of a start in motion, and without standstill."""
         speed = abs(float(data.commands_m_s[0].mean()))
-        slow = np.min(np.abs(data.commands_m_s), axis=1) < STANDSTILL_M_S
-        near = np.convolve(slow, np.ones(round(_MOVING_S / data.period_s) + 1), "full")[: len(slow)] > 0.0
-        usable = ~near if np.mean(near) < _MOSTLY else np.ones(len(slow), bool)
-        usable &= data.usable(_MOVING_S)
+        usable = data.usable_in_motion(np.min(np.abs(data.commands_m_s), axis=1) < STANDSTILL_M_S)
         if speed > _MOVES_M_S:
             travel_m = remembered_m(self._model, _TRANSPORTS) if data.before is None else 0.0
             settle_s = travel_m / speed + 1.0
@@ -369,9 +341,20 @@ class FreeRun:
         return state
 
 
-def of_span(model: ModelParameters, span: int) -> str:
-    """Suffix of a span in a name; "" where there is only one."""
-    return f" of span {span}" if model.span_count > 1 else ""
+def of_line(
+    model: ModelParameters, F_N: Array, strain_rates: Sequence[Array], x_m: Mapping[int, Array]
+) -> list[Condition]:
+    """Tensions (n, spans), strain rates (n,) of each span, and angles by the positions (n,) of axes."""
+    found = []
+    for span, rate in enumerate(strain_rates, 1):
+        where = f" of span {span}" if model.span_count > 1 else ""
+        found.append(Condition(f"tension{where}", "N", F_N[:, span - 1]))
+        found.append(Condition(f"strain rate{where}", "1/s", rate))
+    for axis, x in sorted(x_m.items()):
+        for what, rad_per_m in (("roller", 1.0 / model.radius_m(axis)), ("motor", model.motor_rad_per_m(axis))):
+            name = f"angle of {what} {axis}"
+            found.append(Condition(name, "rad", x * rad_per_m, period=2.0 * np.pi, spectral=True))
+    return found
 
 
 def remembered_m(model: ModelParameters, transports: float) -> float:

@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.arrays import Array
+from hilbench.diagnosis.loop_check import DriveRecord, Loop, loop_of
 from hilbench.diagnosis.machines import Nm_per_acceleration
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.noise import floor
-from hilbench.diagnosis.residual_analysis import Condition
+from hilbench.diagnosis.predictor import Predictor
+from hilbench.diagnosis.residual_analysis import Condition, of_motion
 from hilbench.diagnosis.smooth_motion import Thinning, integrated, low_passed, smoothed
-from hilbench.diagnosis.web_line.free_run import of_span, remembered_m
-from hilbench.diagnosis.web_line.loop_check import DriveRecord, Loop, loop_of
+from hilbench.diagnosis.web_line.free_run import of_line, remembered_m
 from hilbench.diagnosis.web_tensions import tension_names
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import layout as lay
@@ -57,7 +58,7 @@ _IN_STEP: Final = 0.007
 _READ_S: Final = 0.0005
 
 
-class LineOnMeasuredMotion:
+class LineOnMeasuredMotion(Predictor):
     """Driven rollers and the spans between them, on measured motion.
 
     Rows are read at one instant for all channels, but not always when they say: what all axes have in common then has
@@ -70,9 +71,6 @@ class LineOnMeasuredMotion:
 
     def __init__(self, model: ModelParameters, data: Measured) -> None:
         self._model, self._data = model, data
-        self.emulation = None
-        self.exact = True
-        self.narrower = None
         self._torques = sorted(data.tau_Nm)
         self.knows_strain = set(data.x_m) >= set(range(1, model.axis_count + 1))
         self._tensions = sorted(data.F_N) if self.knows_strain else []
@@ -129,8 +127,7 @@ class LineOnMeasuredMotion:
         return np.asarray((self._signals(runs[0]) - self._signals(runs[1]))[0])
 
     def quick(self, parameters: Array) -> Array:
-        """(signals, n): how much more of the measured the quick part of the motion needs by parameters (P,) than by
-        the model."""
+        """(signals, n): as of any prediction; what is quick is above the calm motion."""
         return self._discounted(self._above_the_calm(parameters) - self._by_model)
 
     def _at_rows(self, fine: Array) -> Array:
@@ -156,8 +153,7 @@ class LineOnMeasuredMotion:
         return [_READ_S * self._at_rows(rates[:, axis - 1]) for axis in self._torques]
 
     def doubts(self, parameters: Array) -> Array:
-        """(shapes, signals, n): by what a right prediction from parameters (P,) may be off beside the noise, each to
-        one standard deviation: when torques are read matters to what the model has been extended by as well."""
+        """(shapes, signals, n): when torques are read matters to what the model has been extended by as well."""
         runs = self._run(np.array([parameters, lay.pack(self._model)]))
         more = RequiredTorques(*(values[:1] - values[1:] for values in (runs.tau_Nm, runs.F_N, runs.strain)))
         late = self._read_late(more)
@@ -226,22 +222,9 @@ class LineOnMeasuredMotion:
         # What they are looked at against must not have the noise that the residual has.
         band = (self._calm_Hz, 1.5 * self._calm_Hz)
         _, speed, acceleration = smoothed(self._x[rows, -1], row_s, 1, band, 2)
-        found = [
-            Condition("time", "s", self._data.t_s[:: self.every], spectral=True),
-            Condition(f"speed of axis {last}", "m/s", speed),
-            Condition(f"acceleration of axis {last}", "m/s²", acceleration),
-        ]
-        for span in range(1, self._model.span_count + 1):
-            where = of_span(self._model, span)
-            _, strain_rate = smoothed(run.strain[0, rows, span - 1], row_s, 1, band, 1)
-            found.append(Condition(f"tension{where}", "N", run.F_N[0, rows, span - 1]))
-            found.append(Condition(f"strain rate{where}", "1/s", strain_rate))
-        for k, axis in enumerate(range(1, last + 1)):
-            per_m = ("roller", 1.0 / self._model.radius_m(axis)), ("motor", self._model.motor_rad_per_m(axis))
-            for what, rad_per_m in per_m:
-                angle = self._x[rows, k] * rad_per_m
-                found.append(Condition(f"angle of {what} {axis}", "rad", angle, period=2.0 * np.pi, spectral=True))
-        return found
+        rates = [smoothed(strain, row_s, 1, band, 1)[1] for strain in run.strain[0, rows].T]
+        moved = of_motion(self._data.t_s[:: self.every], last, "m", speed, acceleration)
+        return moved + of_line(self._model, run.F_N[0, rows], rates, dict(enumerate(self._x[rows].T, 1)))
 
     def predict(self, parameters: Array) -> Array:
         """(B, P) to (B, signals, n), on all cores."""
