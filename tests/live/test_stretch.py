@@ -70,7 +70,7 @@ def segment(taken: Array, F_next_N: Array, late: Rows) -> Segment:
 
 def left_by_the_right_model(found: Segment) -> dict[str, float]:
     """Mean square of what it leaves, by signal, in units of what a right model leaves."""
-    scaled = found.residual(pack(MODEL)) / deviations_of(found.predictor)[:, None]
+    scaled = found.residual(MODEL) / deviations_of(found.predictor)[:, None]
     means = np.mean(scaled[:, found.predictor.rows] ** 2, axis=1)
     return dict(zip(found.predictor.names, means.tolist(), strict=True))
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from hilbench.arrays import Array
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.fit_with_residual_noise import weights
+from hilbench.diagnosis.fit import weights
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.noise import Whitening
@@ -232,27 +232,21 @@ class _Fitted:
         return list(found.values())
 
     def _stated(self, term: Term) -> Commissioned:
-        value, deviation = self._amplitude(term) if term.has_phase else self._strength(term)
+        """Strength and its deviation; of two components the amplitude, without what noise adds to its square."""
+        part = self._part(term)
+        found, covariance = self.coordinates[part], self.covariance[part, part]
+        value, variance = float(found[0]), float(covariance[0, 0])
+        if term.has_phase:
+            square, noise = float(found @ found), float(np.trace(covariance))
+            along = found / max(np.sqrt(square), 1e-300)
+            value = float(np.sqrt(max(square - noise, 0.0)))
+            variance = float(along @ covariance @ along) if square > noise else 0.5 * noise
         parameter = term.effect.parameter(term.effect.strength[0])
-        order = term.values.get("order")
-        what = (term.effect.id, term.axis, term.section, parameter.name)
-        return Commissioned(*what, value, deviation, parameter.unit, self._tied(term), order)
+        what = (term.effect.id, term.axis, term.section, parameter.name, value, float(np.sqrt(variance)))
+        return Commissioned(*what, parameter.unit, self._tied(term), term.values.get("order"))
 
     def _part(self, term: Term) -> slice:
         return strength_parts(self.terms)[self.terms.index(term)]
-
-    def _strength(self, term: Term) -> tuple[float, float]:
-        at = self._part(term).start
-        return float(self.coordinates[at]), float(np.sqrt(self.covariance[at, at]))
-
-    def _amplitude(self, term: Term) -> tuple[float, float]:
-        """Amplitude of two components, and its deviation: without what noise adds to the square of an amplitude."""
-        part = self._part(term)
-        both, covariance = self.coordinates[part], self.covariance[part, part]
-        square, noise = float(both @ both), float(np.trace(covariance))
-        along = both / max(np.sqrt(square), 1e-300)
-        deviation = float(np.sqrt(along @ covariance @ along)) if square > noise else float(np.sqrt(0.5 * noise))
-        return float(np.sqrt(max(square - noise, 0.0))), deviation
 
     def _tied(self, term: Term) -> tuple[str, ...]:
         at = self._part(term)

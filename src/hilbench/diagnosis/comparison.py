@@ -26,8 +26,7 @@ from hilbench.diagnosis.diagnosis import (
     explained,
     unobservable,
 )
-from hilbench.diagnosis.fit import Fit, fit
-from hilbench.diagnosis.fit_with_residual_noise import weights
+from hilbench.diagnosis.fit import Fit, fit, inverse_of, weights
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_rules import TIED
@@ -287,9 +286,8 @@ def _slow(space: Space, residual: Array, corner_Hz: float) -> Array:
 class _Joint:
     """Coordinates of the terms of both recordings, explained together, with their covariance."""
 
-    before: dict[Key, Term]
-    after: dict[Key, Term]
-    places: dict[tuple[str, Key], Rows]  #: of the coordinates of a term, as it is "before" or "after"
+    before: dict[Key, tuple[Term, Rows]]  #: terms, with the places of their coordinates
+    after: dict[Key, tuple[Term, Rows]]
     step: Array
     covariance: Array
     quantiles: Array  #: (J,) half the 95 % interval in standard deviations
@@ -314,9 +312,8 @@ class _Joint:
         ]
         flat = [(columns.reshape(count, -1), rest.ravel()) for columns, rest in sides]
         grams = [columns @ columns.T for columns, _ in flat]
-        gram = sum(grams)
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+        gram = grams[0] + grams[1]
+        inverse = inverse_of(gram)
         step = inverse @ sum(columns @ rest for columns, rest in flat)
         if after.space.predictor.exact:
             square, samples = (sum(each) for each in zip(*((rest @ rest, len(rest)) for _, rest in flat), strict=True))
@@ -328,10 +325,8 @@ class _Joint:
             covariance = known[0].covariance + known[1].covariance - inverse
             quantiles = np.maximum(*(each.quantiles(0.95) for each in known))
         return cls(
-            {term.key: term for term in before.terms},
-            {term.key: term for term in after.terms},
-            {("before", term.key): at for term, at in places[:first]}
-            | {("after", term.key): at for term, at in places[first:]},
+            {term.key: (term, at) for term, at in places[:first]},
+            {term.key: (term, at) for term, at in places[first:]},
             step,
             covariance,
             quantiles,
@@ -341,9 +336,18 @@ class _Joint:
     def change(self, effect: NamedEffect) -> NamedEffect | None:
         """The effect with the size of the change of its strength; None where that may be none."""
         key = next(key for key in [*self.after, *self.before] if key[0] == effect.place)
-        term = self.after.get(key) or self.before[key]
-        here, was = (self._strength(when, key, term) for when in ("after", "before"))
-        covariance = self._difference(key, term.linear)
+        term, _ = self.after.get(key) or self.before[key]
+        strengths, difference, quantile = [], np.zeros((term.linear, len(self.step))), 0.0
+        for side, sign in ((self.after, 1.0), (self.before, -1.0)):
+            if key not in side:
+                strengths.append(term.neutral().coordinates()[: term.linear])
+                continue
+            found, at = side[key][0], side[key][1][: term.linear]
+            strengths.append(np.asarray(found.coordinates()[: term.linear] + self.step[at]))
+            difference[np.arange(term.linear), at] = sign
+            quantile = max(quantile, float(np.max(self.quantiles[at])))
+        here, was = strengths
+        covariance = difference @ self.covariance @ difference.T
         if not term.has_phase:
             change, error = float(here[0] - was[0]), float(np.sqrt(max(covariance[0, 0], 0.0)))
         elif _by_the_clock(term):  # its phase is that of another clock: amplitudes are compared
@@ -353,32 +357,13 @@ class _Joint:
             change = float(np.linalg.norm(here - was))
             direction = (here - was) / max(change, 1e-300)
             error = float(np.sqrt(max(float(direction @ covariance @ direction), 0.0)))
-        involved = [
-            at[: term.linear] for when in ("after", "before") if (at := self.places.get((when, key))) is not None
-        ]
-        half = float(np.max(self.quantiles[np.concatenate(involved)])) * error
+        half = quantile * error
         if abs(change) <= max(half, self.errors * error):
             return None
         strength = term.effect.strength[0]
         known, unit = float(np.linalg.norm(was) if term.has_phase else was[0]), term.effect.parameter(strength).unit
         size = Value.of(change, (change - half, change + half), unit, known)
         return replace(effect, parameters={**effect.parameters, strength: size})
-
-    def _strength(self, when: str, key: Key, term: Term) -> Array:
-        """Linear coordinates of a term in one recording; neutral where it was not found."""
-        found = (self.after if when == "after" else self.before).get(key)
-        if found is None:
-            return term.neutral().coordinates()[: term.linear]
-        return np.asarray(found.coordinates()[: term.linear] + self.step[self.places[when, key][: term.linear]])
-
-    def _difference(self, key: Key, linear: int) -> Array:
-        """Covariance of those of one recording less those of the other."""
-        count = len(self.step)
-        weights = np.zeros((linear, count))
-        for when, sign in (("after", 1.0), ("before", -1.0)):
-            if (when, key) in self.places:
-                weights[np.arange(linear), self.places[when, key][:linear]] = sign
-        return np.asarray(weights @ self.covariance @ weights.T)
 
 
 def _linearized(side: Explained, chosen: list[tuple[Term, Rows]], count: int) -> tuple[Array, Array]:

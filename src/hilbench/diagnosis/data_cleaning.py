@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.arrays import Array, Rows
+from hilbench.arrays import Array, Rows, runs
 from hilbench.diagnosis.noise import floor, rms
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import LEAST_SAMPLES, Recording
@@ -72,39 +72,40 @@ class Repair:
 
 @dataclass(frozen=True)
 class Mended:
-    """A recording at even times; `left_out` (n,) are rows that nothing is to be compared on."""
+    """A recording while it is mended, at even times in the end; `left_out` (n,) are rows that nothing is to be compared
+    on."""
 
-    recording: Recording
+    recording: Recording  #: of float64
     left_out: Rows
     repairs: list[Repair] = field(default_factory=list)
 
+    @property
+    def t_s(self) -> Array:
+        """Times of the rows (n,)."""
+        return self.recording.time_s
 
-@dataclass(frozen=True)
-class _Table:
-    """Rows while they are repaired."""
+    @property
+    def channels(self) -> Mapping[str, Array]:
+        """Values (n,) by channel."""
+        return self.recording.channels
 
-    t_s: Array
-    channels: Mapping[str, Array]  #: of float64
-    left_out: Rows
-    repairs: tuple[Repair, ...] = ()
+    def _made(
+        self, t_s: Array, channel: Callable[[Array], Array], left_out: Rows, repairs: Sequence[Repair] = ()
+    ) -> Mended:
+        """At other times, `channel` made of each channel."""
+        channels = {name: channel(values) for name, values in self.channels.items() if name != TIME}
+        recording = replace(self.recording, channels={TIME: t_s, **channels})
+        return Mended(recording, left_out, [*self.repairs, *repairs])
 
-    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice, *repairs_made: Repair) -> _Table:
-        channels = {name: values[chosen] for name, values in self.channels.items()}
-        return replace(
-            self,
-            t_s=self.t_s[chosen],
-            channels=channels,
-            left_out=self.left_out[chosen],
-            repairs=(*self.repairs, *repairs_made),
-        )
+    def _rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice, repair: Repair) -> Mended:
+        return self._made(self.t_s[chosen], lambda values: values[chosen], self.left_out[chosen], [repair])
 
-    def with_channel(self, name: str, values: Array, *repairs_made: Repair, left_out: Rows | None = None) -> _Table:
+    def _with_channel(self, name: str, values: Array, repair: Repair, left_out: Rows | None = None) -> Mended:
+        recording = replace(self.recording, channels={**self.channels, name: values})
         out = self.left_out if left_out is None else self.left_out | left_out
-        return replace(
-            self, channels={**self.channels, name: values}, left_out=out, repairs=(*self.repairs, *repairs_made)
-        )
+        return Mended(recording, out, [*self.repairs, repair])
 
-    def named(self, pattern: re.Pattern[str]) -> list[str]:
+    def _named(self, pattern: re.Pattern[str]) -> list[str]:
         return [name for name in self.channels if pattern.fullmatch(name)]
 
 
@@ -121,26 +122,15 @@ def mended(
     channels, at which a prediction cuts off as well; standing there is no fault of the recording.
     Raises UnusableInputError, one line, for what would have to be guessed.
     """
-    time_s = recording.time_s
-    channels = {name: np.asarray(v, np.float64) for name, v in recording.channels.items() if name != TIME}
-    table = _Table(time_s, channels, np.zeros(len(time_s), bool))
-    missing = {name: np.mean(~np.isfinite(values)) if len(values) else 0.0 for name, values in channels.items()}
-    recording.require([name for name in table.named(_READ) if missing[name] > _MOST_LEFT_OUT], place)
-    steps: Sequence[Callable[[_Table], _Table]] = (
-        lambda t: _timed(t, place),
-        lambda t: _in_order(t, place),
-        _without_frozen_rows,
-        _without_stuck_values,
-        _unwrapped,
-        _finite,
-        lambda t: _unsaturated(t, limits_Nm or {}),
-        _even,
-        lambda t: _longest_stretch(t, longest_gap_s),
-    )
-    for step in steps:
-        table = step(table)
+    channels = {name: np.asarray(v, np.float64) for name, v in recording.channels.items()}
+    table = Mended(replace(recording, channels=channels), np.zeros(len(recording), bool))
+    read = {name: channels[name] for name in table._named(_READ)}
+    recording.require([n for n, v in read.items() if len(v) and np.mean(~np.isfinite(v)) > _MOST_LEFT_OUT], place)
+    table = _in_order(_timed(table, place), place)
+    table = _finite(_unwrapped(_without_stuck_values(_without_frozen_rows(table))))
+    table = _longest_stretch(_even(_unsaturated(table, limits_Nm or {})), longest_gap_s)
     if not table.repairs:
-        return Mended(recording, table.left_out)
+        return replace(table, recording=recording)
     share = float(np.mean(table.left_out))
     if share > _MOST_LEFT_OUT:
         worst = max(table.repairs, key=lambda repair: repair.rows)
@@ -149,11 +139,10 @@ def mended(
             f"{100.0 * share:.0f} % of the rows can't be used ({worst.text}), expected at most "
             f"{100.0 * _MOST_LEFT_OUT:.0f} %",
         )
-    whole = replace(recording, channels={TIME: table.t_s, **table.channels})
-    return Mended(whole, table.left_out, list(table.repairs))
+    return table
 
 
-def _timed(table: _Table, place: str | Path) -> _Table:
+def _timed(table: Mended, place: str | Path) -> Mended:
     """Without rows whose time is no number."""
     bad = ~np.isfinite(table.t_s)
     count = int(np.count_nonzero(bad))
@@ -163,10 +152,10 @@ def _timed(table: _Table, place: str | Path) -> _Table:
         raise UnusableInputError(
             place, f"{count} row(s) of {len(bad)} without a time, expected {TIME} in s in every row"
         )
-    return table.rows(~bad, Repair("not_finite", TIME, count, f"{count} row(s) without a time dropped"))
+    return table._rows(~bad, Repair("not_finite", TIME, count, f"{count} row(s) without a time dropped"))
 
 
-def _in_order(table: _Table, place: str | Path) -> _Table:
+def _in_order(table: Mended, place: str | Path) -> Mended:
     """Sorted by time, each time once."""
     t = table.t_s
     backward = np.flatnonzero(np.diff(t) < 0.0)
@@ -176,7 +165,7 @@ def _in_order(table: _Table, place: str | Path) -> _Table:
     if len(backward):
         at = int(backward[0])
         text = f"{len(backward)} step(s) back in time, the first from {t[at]:g} to {t[at + 1]:g} s: rows sorted"
-        table = table.rows(np.argsort(t, kind="stable"), Repair("order", TIME, len(backward), text))
+        table = table._rows(np.argsort(t, kind="stable"), Repair("order", TIME, len(backward), text))
     steps = np.diff(table.t_s)
     again = np.concatenate([[False], steps == 0.0])
     crowded = int(np.count_nonzero((steps > 0.0) & (steps < _CLOSE * period_s)))
@@ -198,58 +187,55 @@ def _in_order(table: _Table, place: str | Path) -> _Table:
     text = f"{count} row(s) with the time of another one dropped" + (
         f", {other} of them differ from it" if other else ""
     )
-    return table.rows(~again, Repair("repeated", TIME, count, text))
+    return table._rows(~again, Repair("repeated", TIME, count, text))
 
 
-def _differs_from_the_row_before(table: _Table, again: Rows) -> int:
+def _differs_from_the_row_before(table: Mended, again: Rows) -> int:
     """Number of rows that repeat the time of the one before with another value."""
     at = np.flatnonzero(again)
     differs = np.zeros(len(at), bool)
-    for name in table.named(_READ):
+    for name in table._named(_READ):
         values = table.channels[name]
         differs |= ~((values[at] == values[at - 1]) | (np.isnan(values[at]) & np.isnan(values[at - 1])))
     return int(np.count_nonzero(differs))
 
 
-def _without_frozen_rows(table: _Table) -> _Table:
+def _without_frozen_rows(table: Mended) -> Mended:
     """Without rows in which every measured channel repeats the row before while the axis moves on."""
-    measured, positions = table.named(_MEASURED), table.named(_POSITION)
+    measured, positions = table._named(_MEASURED), table._named(_POSITION)
     if not positions or len(table.t_s) < 4 * _AROUND:
         return table
     same = np.ones(len(table.t_s) - 1, bool)
     for name in measured:
         same &= np.diff(table.channels[name]) == 0.0
     again = np.concatenate([[False], same])
-    first = np.flatnonzero(again & ~np.concatenate([[False], again[:-1]]))
-    after = np.array([k + np.argmin(again[k:]) if not np.all(again[k:]) else -1 for k in first], int)
     frozen = np.zeros(len(again), bool)
     moving = [(table.channels[name], _quantum(table.channels[name])) for name in positions]
-    for start, end in zip(first, after, strict=True):
-        if end > 0 and any(_moved_on(x, int(start), int(end), quantum) for x, quantum in moving):
+    for start, end in runs(again).tolist():
+        if end < len(again) and any(_moved_on(x, start, end, quantum) for x, quantum in moving):
             frozen[start:end] = True
     count = int(np.count_nonzero(frozen))
     if count == 0:
         return table
     at = table.t_s[np.argmax(frozen)]
     text = f"{count} row(s) repeat the row before while the axis moves, the first at t = {at:g} s: dropped"
-    return table.rows(~frozen, Repair("repeated", "", count, text))
+    return table._rows(~frozen, Repair("repeated", "", count, text))
 
 
-def _without_stuck_values(table: _Table) -> _Table:
+def _without_stuck_values(table: Mended) -> Mended:
     """Positions and torques that stay what they are for a while, as of a bus that lost them: rows left out.
 
     A position does that where it has caught up by the end of it; a torque where it hardly ever is the same twice.
     """
-    positions = table.named(_POSITION)
-    for name in [*positions, *table.named(_TORQUE)]:
+    positions = table._named(_POSITION)
+    for name in [*positions, *table._named(_TORQUE)]:
         values, stuck = table.channels[name], np.zeros(len(table.t_s), bool)
         again = np.concatenate([[False], np.diff(values) == 0.0])
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], again.astype(int), [0]]))).reshape(-1, 2)
-        long = edges[edges[:, 1] - edges[:, 0] >= _STUCK]
-        if not len(long) or float(np.ptp(values)) == 0.0:
+        long = [(start, end) for start, end in runs(again).tolist() if end - start >= _STUCK]
+        if not long or float(np.ptp(values)) == 0.0:
             continue
         quantum = _quantum(values)
-        for start, end in map(tuple, long):
+        for start, end in long:
             if name in positions:
                 stuck[start:end] = end < len(values) and _moved_on(values, start, end, quantum)
             elif np.min(values) < values[start] < np.max(values):  # at an end of its range it may be cut off
@@ -264,7 +250,7 @@ def _without_stuck_values(table: _Table) -> _Table:
             filled[stuck] = np.interp(table.t_s[stuck], table.t_s[~stuck], values[~stuck])
             count, at = int(np.count_nonzero(stuck)), table.t_s[np.argmax(stuck)]
             text = f"channel {name} stays at one value in {count} row(s), the first at t = {at:g} s: rows left out"
-            table = table.with_channel(name, filled, Repair("stuck", name, count, text), left_out=stuck)
+            table = table._with_channel(name, filled, Repair("stuck", name, count, text), left_out=stuck)
     return table
 
 
@@ -297,9 +283,9 @@ def _quantum(x: Array) -> float:
     return float(np.min(steps[steps > _ROUNDED * float(np.ptp(x))], initial=np.inf))
 
 
-def _unwrapped(table: _Table) -> _Table:
+def _unwrapped(table: Mended) -> Mended:
     """Positions without the jumps of a counter that wraps or is set anew."""
-    for name in table.named(_POSITION):
+    for name in table._named(_POSITION):
         values = table.channels[name]
         known = np.isfinite(values)
         if np.count_nonzero(known) < 4 * _BESIDE:
@@ -319,7 +305,7 @@ def _unwrapped(table: _Table) -> _Table:
             f"channel {name} {what} {len(jumps)} time(s), the first at t = {t[jumps[0] + 1]:g} s, as a counter that"
             " wraps or is set anew: taken out"
         )
-        table = table.with_channel(name, whole, Repair("wrap", name, len(jumps), text))
+        table = table._with_channel(name, whole, Repair("wrap", name, len(jumps), text))
     return table
 
 
@@ -343,9 +329,9 @@ def _jumps(t_s: Array, x: Array) -> tuple[NDArray[np.intp], Array]:
     return at, steps[at] - np.array(usual)
 
 
-def _finite(table: _Table) -> _Table:
+def _finite(table: Mended) -> Mended:
     """Without values that are no number: filled in, and the rows left out."""
-    for name in table.named(_READ):
+    for name in table._named(_READ):
         values = table.channels[name]
         bad = ~np.isfinite(values)
         count = int(np.count_nonzero(bad))
@@ -357,13 +343,13 @@ def _finite(table: _Table) -> _Table:
         text = (
             f"channel {name} has {count} value(s) that are no finite number, the first at t = {at:g} s: rows left out"
         )
-        table = table.with_channel(name, filled, Repair("not_finite", name, count, text), left_out=bad)
+        table = table._with_channel(name, filled, Repair("not_finite", name, count, text), left_out=bad)
     return table
 
 
-def _unsaturated(table: _Table, limits_Nm: Mapping[str, float]) -> _Table:
+def _unsaturated(table: Mended, limits_Nm: Mapping[str, float]) -> Mended:
     """Leave out rows in which a torque is saturated at the end of its range."""
-    for name in table.named(_TORQUE):
+    for name in table._named(_TORQUE):
         values = table.channels[name]
         cut = np.zeros(len(values), bool)
         for sign in (1.0, -1.0):
@@ -375,22 +361,18 @@ def _unsaturated(table: _Table, limits_Nm: Mapping[str, float]) -> _Table:
             below = sign * values[~at]
             next_level = float(np.max(below, initial=-np.inf)) - _NEXT * float(np.ptp(values))
             near = below >= next_level
-            if _longest_run(at) >= _FLAT and np.count_nonzero(at) >= _PILED * np.count_nonzero(near):
+            is_flat = np.max(np.diff(runs(at)), initial=0) >= _FLAT
+            if is_flat and np.count_nonzero(at) >= _PILED * np.count_nonzero(near):
                 cut |= at
         count = int(np.count_nonzero(cut))
         if count and float(np.ptp(values)) > 0.0:
             largest = float(np.max(np.abs(values[cut])))
             text = f"channel {name} is at {largest:g} N·m, the end of its range, in {count} row(s): left out"
-            table = table.with_channel(name, values, Repair("saturated", name, count, text), left_out=cut)
+            table = table._with_channel(name, values, Repair("saturated", name, count, text), left_out=cut)
     return table
 
 
-def _longest_run(rows: Rows) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(int), [0]])))
-    return int(np.max(edges[1::2] - edges[::2], initial=0))
-
-
-def _even(table: _Table) -> _Table:
+def _even(table: Mended) -> Mended:
     """Table at even times: rows that are missing are filled in and left out, uneven ones put onto a grid."""
     t = table.t_s
     if len(t) < LEAST_SAMPLES + 1:
@@ -407,14 +389,16 @@ def _even(table: _Table) -> _Table:
     uneven = float(np.max(np.abs(np.diff(t)[np.diff(t) < _MISSING * period_s] - period_s), initial=0.0))
     at_times, by_number = _at_times(table, period_s), None
     if np.max(off) < period_s:
-        by_number = _filled(replace(table, t_s=first + slope * number), number, float(slope))
+        by_number = _filled(
+            table._made(first + slope * number, lambda values: values, table.left_out), number, float(slope)
+        )
     if by_number is not None and _roughness(by_number) < _roughness(at_times):
         text = (
             f"times up to {1e3 * uneven:.3g} ms off an even {1e3 * slope:.4g} ms, where the motion is even: made even"
         )
-        return replace(by_number, repairs=(*by_number.repairs, Repair("uneven", TIME, len(t), text)))
+        return replace(by_number, repairs=[*by_number.repairs, Repair("uneven", TIME, len(t), text)])
     text = f"rows up to {1e3 * uneven:.3g} ms off an even {1e3 * period_s:.4g} ms: put onto an even grid"
-    return replace(at_times, repairs=(*at_times.repairs, Repair("uneven", TIME, len(t), text)))
+    return replace(at_times, repairs=[*at_times.repairs, Repair("uneven", TIME, len(t), text)])
 
 
 def _numbered(t_s: Array, period_s: float) -> tuple[Array, float, float]:
@@ -430,31 +414,29 @@ def _numbered(t_s: Array, period_s: float) -> tuple[Array, float, float]:
     return number, float(slope), float(first)
 
 
-def _filled(table: _Table, number: Array, period_s: float) -> _Table:
+def _filled(table: Mended, number: Array, period_s: float) -> Mended:
     """Insert rows where the row numbers leave some out."""
     period_s = round(period_s, 9)
     everything = np.arange(int(number[-1]) + 1)
     missing = np.ones(len(everything), bool)
     missing[number.astype(int)] = False
-    channels = {name: np.interp(everything, number, values) for name, values in table.channels.items()}
     left_out = missing.copy()
     left_out[number.astype(int)] = table.left_out
     repairs_made = [_gap(table.t_s, np.diff(number) > 1.0, int(np.count_nonzero(missing)))] if np.any(missing) else []
     t_s = table.t_s[0] + period_s * everything
-    return _Table(t_s, channels, left_out, (*table.repairs, *repairs_made))
+    return table._made(t_s, lambda values: np.interp(everything, number, values), left_out, repairs_made)
 
 
-def _at_times(table: _Table, period_s: float) -> _Table:
+def _at_times(table: Mended, period_s: float) -> Mended:
     """Interpolated where the grid's times lie between those of the rows."""
     t = table.t_s
     grid = t[0] + period_s * np.arange(int((t[-1] - t[0]) / period_s) + 1)
-    channels = {name: np.interp(grid, t, values) for name, values in table.channels.items()}
     before = np.clip(np.searchsorted(t, grid, side="right") - 1, 0, len(t) - 2)
     wide = np.diff(t) > _MISSING * period_s
     left_out = np.interp(grid, t, table.left_out.astype(float)) > 0.0
     missing = wide[before] & (np.abs(grid - t[before]) > _UNEVEN * period_s)
     repairs_made = [_gap(t, wide, int(np.count_nonzero(missing)))] if np.any(missing) else []
-    return _Table(grid, channels, left_out | missing, (*table.repairs, *repairs_made))
+    return table._made(grid, lambda values: np.interp(grid, t, values), left_out | missing, repairs_made)
 
 
 def _gap(t_s: Array, wide: Rows, count: int) -> Repair:
@@ -463,22 +445,21 @@ def _gap(t_s: Array, wide: Rows, count: int) -> Repair:
     return Repair("gap", TIME, count, text)
 
 
-def _roughness(table: _Table) -> float:
+def _roughness(table: Mended) -> float:
     """Roughness of the positions from row to row (rms of 4th differences): wrong row times make motion rough."""
     kept = ~table.left_out[4:]
     found = 0.0
-    for name in table.named(_POSITION):
+    for name in table._named(_POSITION):
         found = max(found, rms(np.diff(table.channels[name], 4)[kept]))
     return found
 
 
-def _longest_stretch(table: _Table, longest_gap_s: float) -> _Table:
+def _longest_stretch(table: Mended, longest_gap_s: float) -> Mended:
     """Longest part without a gap that is too long."""
     if not np.any(table.left_out) or not np.isfinite(longest_gap_s):
         return table
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], table.left_out.astype(int), [0]])))
     period_s = float(np.median(np.diff(table.t_s)))
-    gaps = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if (b - a) * period_s > longest_gap_s]
+    gaps = [(a, b) for a, b in runs(table.left_out) if (b - a) * period_s > longest_gap_s]
     if not gaps:
         return table
     starts, ends = [0, *(b for _, b in gaps)], [*(a for a, _ in gaps), len(table.t_s)]
@@ -487,4 +468,4 @@ def _longest_stretch(table: _Table, longest_gap_s: float) -> _Table:
         f"more than {longest_gap_s:g} s missing at once {len(gaps)} time(s): t = {table.t_s[start]:g} to"
         f" {table.t_s[end - 1]:g} s, the longest stretch without that, is used"
     )
-    return table.rows(slice(int(start), int(end)), Repair("stretch", TIME, len(table.t_s) - int(end - start), text))
+    return table._rows(slice(int(start), int(end)), Repair("stretch", TIME, len(table.t_s) - int(end - start), text))

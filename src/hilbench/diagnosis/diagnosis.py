@@ -15,8 +15,17 @@ from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.data_cleaning import Repair
 from hilbench.diagnosis.fed_forward import without_excess, without_oscillation
-from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_interval_s
-from hilbench.diagnosis.fit_with_residual_noise import lasting_change, stated_uncertainty, weights
+from hilbench.diagnosis.fit import (
+    STATED,
+    Fit,
+    around,
+    fit,
+    moved_by_doubts,
+    stated_uncertainty,
+    sums,
+    time_interval_s,
+    weights,
+)
 from hilbench.diagnosis.free_rules import FreeRules
 from hilbench.diagnosis.loop_check import nuisance_of
 from hilbench.diagnosis.machines import AnyEmulation
@@ -41,10 +50,10 @@ from hilbench.diagnosis.select_measured import MeasuredRules
 from hilbench.diagnosis.selection import Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
+from hilbench.diagnosis.stretched_problem import StretchedProblem
 from hilbench.diagnosis.terms import Place, Term, extended, parts
 from hilbench.plant.effect import Effect, Section
 from hilbench.plant.model_file import Machine
-from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
 #: An effect is invisible when a change of its usual size is below so many standard deviations.
@@ -65,6 +74,12 @@ _OTHER_HELD: Final = "the same motion while the other axis is held"
 _PROFILES: Final = 4
 _DIGITS: Final = 8
 _LEAST_DIGITS: Final = 5
+#: Share of what is left from which a change with time explains too much of it for the effects to be all.
+_MOSTLY: Final = 1.0 / 3.0
+#: Rows of a while, and the share of what is left that a tenth of all whiles has where it comes in bursts.
+_WHILE, _FEW, _BURSTS = 8, 10, 0.7
+#: Share of the torque's rms from which what is left matters.
+_MATTERS: Final = 0.01
 
 
 @dataclass(frozen=True)
@@ -326,7 +341,8 @@ class _Verdict:
         after = misfits(*in_floors(predictor.names, final.residual, floors), rows, conditions)
         unexplained = [m for m in after if m.significant]
         if predictor.exact:
-            unexplained += _beyond_noise(space, final)
+            others = [k for k in range(len(names)) if k not in torques]  # positions, speeds, tensions
+            unexplained += beyond_noise(names, final.residual, rows, deviations_of(predictor), others)
             unknown = bool(unexplained) or exceeds_noise(final.residual, rows, floors)
         else:
             # Of a fit to all rows, and of one to the others on those held out: it has to hold where it was not made.
@@ -334,10 +350,13 @@ class _Verdict:
             unknown = any(
                 rms(rest[k, at]) > LARGEST_REST * rms(predictor.measured[k, rows]) for rest, at in left for k in torques
             )
-            if not unknown and (changes := lasting_change(space, selection)) is not None:
+            if not unknown and (changes := _lasting_change(space, selection)) is not None:
                 unknown, unexplained = True, [changes, *unexplained]
         better, too_few = selection.better, selection.of_too_few
-        unexplained += [Misfit(names[torques[0]], *_swing(term), 0.0, 0.0, "always") for term in too_few]
+        for term in too_few:
+            about_Hz = f"{term.values['frequency_Hz']:.2g} Hz"
+            why = f"perhaps near {about_Hz}, which the few frequencies of this motion do not identify"
+            unexplained.append(Misfit(names[torques[0]], f"a {term.effect.id}", why, 0.0, 0.0, "always"))
         unknown |= selection.exhausted or better is not None or bool(too_few)
         if better is not None:  # what pulls at the last roller shows in its torque
             unexplained = [Misfit(names[torques[-1]], better.name, better.detail, 0.0, 0.0, "always"), *unexplained]
@@ -372,6 +391,11 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
     depends = misfits(names, scaled, predictor.rows, conditions)
     floor_of = {predictor.names[k]: value for k, value in floors.items()}
     unidentifiable = [*selection.of_too_few, *selection.unidentifiable]
+    laws = (
+        law(name, rest, conditions, space.split.train, test)
+        for name, rest in zip(names, final.residual[list(floors)], strict=True)
+        if of.unexplained
+    )
     return Diagnosis(
         verdict="unknown" if of.unknown else ("named" if final.terms else "complete"),
         effects=effects,
@@ -382,7 +406,10 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
         unobservable=[
             *unobservable(selection),
             *_waves_too_fast(space, proposer, selection),
-            *_unseen_resonances(space, proposer, selection),
+            *(
+                Unobservable.of(t, least, f"{t.effect.shown_by}, for {Hz:g} Hz and above", frequency_Hz=Hz)
+                for t, Hz, least in first_unseen(space, proposer, selection, _VISIBLE)
+            ),
             *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in unidentifiable),
             *(
                 Unobservable(effect.id, 1, None, effect.parameter(effect.strength[0]).unit, _OTHER_HELD)
@@ -400,22 +427,36 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
         emulation=predictor.emulation,
         predicted_on=chosen.basis,
         nuisance=_nuisance(space, chosen, final, effects),
-        laws=_laws(space, names, final.residual[list(floors)], conditions) if of.unexplained else [],
+        laws=[one for one in laws if one is not None],
         repairs=data.repairs,
     )
 
 
-def _swing(term: Term) -> tuple[str, str]:
-    """Name and explanation of a term of which the motion has too few frequencies to identify it."""
-    about_Hz = f"{term.values['frequency_Hz']:.2g} Hz"
-    return f"a {term.effect.id}", f"perhaps near {about_Hz}, which the few frequencies of this motion do not identify"
-
-
-def _beyond_noise(space: Space, final: Fit) -> list[Misfit]:
-    """Signals other than the torques (positions, speeds, tensions) that deviate from the model beyond noise."""
-    predictor = space.predictor
-    others = [k for k in range(len(predictor.names)) if k not in torques_of(predictor)]
-    return beyond_noise(predictor.names, final.residual, predictor.rows, deviations_of(predictor), others)
+def _lasting_change(space: Space, selection: Selection) -> Misfit | None:
+    """What is left where much of it would be explained by friction and offset that change with time, as those of an
+    axis that warms up do, or comes in bursts, as from a gear's play that is crossed; no effect does either."""
+    rows, found, offered = space.predictor.rows, selection.fit, selection.candidates
+    if rms(found.residual[..., rows]) < _MATTERS * rms(space.predictor.measured[..., rows]):
+        return None
+    own = space.point(found.terms, found.residual).derivatives[..., rows]
+    mine = [own[part] for term, part in zip(found.terms, parts(found.terms), strict=True) if not term.effect.removable]
+    each = zip(offered.candidates, offered.responses, strict=True)
+    simple = np.concatenate([own[:0], *mine, *(r[..., rows] for term, r in each if not term.effect.removable)])
+    problem = StretchedProblem.of(
+        found.residual[..., rows], np.concatenate([own, simple, simple * np.linspace(-1.0, 1.0, simple.shape[-1])])
+    )
+    count = len(problem.raw)
+    steady, changing = problem.left(list(range(count - len(simple))))[0], problem.left(list(range(count)))[0]
+    share = 1.0 - changing / max(steady, 1e-300)
+    name = space.predictor.names[0]
+    if share > _MOSTLY:
+        return Misfit(name, "time", "friction or offset change with it", share, _MOSTLY, "always")
+    left = found.residual[0, rows]
+    squares = np.sort([float(np.mean(part**2)) for part in np.array_split(left, max(len(left) // _WHILE, 1))])[::-1]
+    few = float(np.sum(squares[: len(squares) // _FEW])) / max(float(np.sum(squares)), 1e-300)
+    if few > _BURSTS:
+        return Misfit(name, "burst in time", "what is left comes in bursts", few, _BURSTS, "always")
+    return None
 
 
 def _nuisance(space: Space, chosen: Choice, final: Fit, effects: list[NamedEffect]) -> list[NamedEffect]:
@@ -427,7 +468,7 @@ def _nuisance(space: Space, chosen: Choice, final: Fit, effects: list[NamedEffec
         NamedEffect(
             effect, loop.axis, {n: Value.of(*known) for n, known in values.items()}, {"likelihood_ratio": loop.gain}
         )
-        for loop in (chosen.loops if isinstance(model, ModelParameters) else [])
+        for loop in chosen.loops
         for effect, values in nuisance_of(loop, model).items()
         if not (effect == "drive_lag" and loop.axis in late)
     ]
@@ -456,13 +497,6 @@ def _couplings(space: Space, predictor: OnMeasuredMotion, found: Fit) -> dict[st
     }
 
 
-def _laws(space: Space, names: tuple[str, ...], residuals: Array, conditions: list[Condition]) -> list[SparseLaw]:
-    """Sparse laws of the torque residuals (signals, n), where one is found."""
-    train, test = space.split.train, space.split.test
-    found = (law(name, rest, conditions, train, test) for name, rest in zip(names, residuals, strict=True))
-    return [one for one in found if one is not None]
-
-
 @dataclass(frozen=True)
 class _Judged:
     """The chosen terms fitted: to what fits may see, and to all rows; how sure each coordinate of the last is."""
@@ -482,9 +516,12 @@ def _judged_by_noise(space: Space, selection: Selection) -> _Judged:
         train, test = sums(space, white, trained.residual)
         inflation = float(np.sqrt(max((train + test) / samples, 1.0)))
         final = _stated(space, white, trained.terms, inflation) if trained.terms else trained
-        neutral = _perhaps_neutral(final, NORMAL_95 * inflation)
-        if neutral is None:
+        # The rows that the search held out may have brought a term to where its 95 % interval contains its neutral
+        # value: without the least certain.
+        sure = [max(final.wald(k), 0.0) ** 0.5 for k in range(len(final.terms))]
+        if not sure or min(sure) > NORMAL_95 * inflation:
             break
+        neutral = int(np.argmin(sure))
         trained = fit(space, white, [*trained.terms[:neutral], *trained.terms[neutral + 1 :]])
     moments = _moments(space, white, final, inflation)
     quantiles = np.full(len(final.covariance), NORMAL_95 * inflation)
@@ -497,17 +534,6 @@ def _stated(space: Space, white: Whitening, terms: list[Term], inflation: float)
     found = fit(space, white, terms, space.predictor.rows, enough=STATED)
     moved = moved_by_doubts(space, white, found) / inflation
     return replace(found, covariance=found.covariance + moved @ moved.T)
-
-
-def _perhaps_neutral(found: Fit, quantile: float) -> int | None:
-    """The place of a term whose 95 % interval contains its neutral value, the least certain; None without one.
-
-    quantile: half the interval in standard deviations. The rows that the search held out may have brought a term there.
-    """
-    sure = [max(found.wald(k), 0.0) ** 0.5 for k in range(len(found.terms))]
-    if not sure or min(sure) > quantile:
-        return None
-    return int(np.argmin(sure))
 
 
 def _judged_by_rest(space: Space, selection: Selection) -> _Judged:
@@ -642,14 +668,4 @@ def _waves_too_fast(space: Space, proposer: Proposer, selection: Selection) -> l
             advice = f"{wave.effect.shown_by}, for orders from {order:g} on slower than this"
             result.append(Unobservable.of(wave, smallest, advice, order=order))
             break
-    return result
-
-
-def _unseen_resonances(space: Space, proposer: Proposer, selection: Selection) -> list[Unobservable]:
-    """Effects with a frequency that these data could show at low frequencies alone, or at none."""
-    result = []
-    for unseen in first_unseen(space, proposer, selection, _VISIBLE):
-        first_Hz = float(f"{unseen.frequency_Hz:.3g}")
-        advice = f"{unseen.term.effect.shown_by}, for {first_Hz:g} Hz and above"
-        result.append(Unobservable.of(unseen.term, unseen.smallest, advice, frequency_Hz=first_Hz))
     return result

@@ -13,7 +13,7 @@ import numpy as np
 
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.data_cleaning import Repair
-from hilbench.diagnosis.fit_with_residual_noise import fitted, uncertainty_of
+from hilbench.diagnosis.fit import fitted, uncertainty_of
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.measured_rules import CHANCE, LEAST_SHARE, least_share

@@ -1,4 +1,7 @@
-"""Fitting chosen terms jointly: damped Gauss–Newton steps on whitened residuals, bounds kept, standard errors."""
+"""Fitting chosen terms jointly: damped Gauss–Newton steps on whitened residuals, bounds kept, standard errors.
+
+Where a right model would not leave noise alone what is left is the noise.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,21 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from hilbench.arrays import Array
-from hilbench.diagnosis.noise import Whitening
+from hilbench.diagnosis.measured_motion import OnMeasuredMotion
+from hilbench.diagnosis.noise import Whitening, scaling
+from hilbench.diagnosis.residual_noise import (
+    Uncertainty,
+    by_waves,
+    uncertainty,
+    with_doubts,
+    with_guess,
+    with_noisy_columns,
+    with_shapes,
+)
 from hilbench.diagnosis.space import Point, Space
 from hilbench.diagnosis.terms import Term, parts, strength_parts
+from hilbench.plant.effect import Domain
+from hilbench.plant.effects import find_effect
 
 _MOST_STEPS: Final = 6
 _LEAST_STEPS: Final = 2
@@ -288,6 +303,58 @@ def moved_by_doubts(space: Space, white: Whitening, found: Fit) -> Array:
     return np.asarray(found.covariance @ columns @ _flat(white.apply(doubts)[:, :, rows]).T)
 
 
+def fitted(space: Space, terms: list[Term]) -> Fit:
+    """The terms fitted to all rows that count, every frequency of the band with the same weight."""
+    return fit(space, weights(space, terms), terms, space.predictor.rows)
+
+
+def weights(space: Space, terms: list[Term]) -> Whitening:
+    """Scale each signal by the rms residual of a model with the terms."""
+    residual = space.residual(terms)[:, space.predictor.rows]
+    return scaling(np.maximum(np.std(residual, axis=-1), 1e-300))
+
+
+def uncertainty_of(space: Space, found: Fit, rows: NDArray[np.bool_] | None = None) -> Uncertainty:
+    """Uncertainty of a fit's coordinates, with its residual as noise; rows (n,) of the fit, by default all that count.
+
+    A resonance is identified by few frequencies, at which slightly different friction or inertia look alike: there it
+    counts by what the prediction may be off.
+    """
+    rows = space.predictor.rows if rows is None else rows
+    derivatives = space.point(found.terms, found.residual).derivatives[..., rows]
+    known = uncertainty(derivatives, found.residual[..., rows])
+    doubted = np.concatenate([np.zeros(0, bool), *(np.full(len(t.coordinates()), t.is_torsional) for t in found.terms)])
+    if not np.any(doubted):
+        return known
+    return with_doubts(known, derivatives, found.residual[..., rows], space.doubts(found.terms)[..., rows], doubted)
+
+
+def stated_uncertainty(space: Space, found: Fit) -> Uncertainty:
+    """Uncertainty of a fit, also by an inertia of the model that is a guess, where no term says how far it is off, and
+    by noise in the accelerations of coupled axes: it hardly shows in them, and their columns are nearly collinear. On
+    one steady sine by what repeats itself alone, and how friction turns over."""
+    known, predictor = uncertainty_of(space, found), space.predictor
+    if not isinstance(predictor, OnMeasuredMotion) or not found.terms:
+        return known
+    rows, parameters = predictor.rows, space.packed(found.terms)
+    derivatives, left = space.point(found.terms, found.residual).derivatives[..., rows], found.residual[..., rows]
+    if predictor.sine_Hz is not None and not any(term.is_torsional for term in found.terms):
+        turning, waves = predictor.doubt_of_turning(parameters), predictor.repeating(predictor.sine_Hz)
+        return by_waves(derivatives[:, 0], left[0], turning[:, 0, rows], waves[:, rows])
+    known = with_shapes(known, derivatives, left, predictor.doubts(parameters)[1:, :, rows])  # an inertia: below
+    if predictor.arm is None:
+        inertia, of_all = find_effect("inertia_mismatch"), (Domain.INERTIA, Domain.MOTOR_TORQUE)
+        # An error of the model's inertia would show as another size of one of these.
+        if not any(term.effect.domain in of_all or term.effect.is_alike(inertia) for term in found.terms):
+            known = with_guess(known, derivatives, left, predictor.of_inertia[..., rows])
+        return known
+    alone = replace(space, predictor=predictor.uncoupled)
+    beside = alone.point(found.terms, alone.residual(found.terms)).derivatives[:, 0]
+    noisy, explained = predictor.by_accelerations(parameters)
+    wide = np.concatenate([predictor.couplings, beside])[:, rows]
+    return with_noisy_columns(known, wide, left[0], noisy[..., rows], explained[:, rows])
+
+
 class _Problem:
     """The linearized problem at a point."""
 
@@ -317,10 +384,14 @@ class _Problem:
 
     def covariance(self) -> Array:
         """Covariance of the coordinates; the whitened noise has variance 1."""
-        if len(self._c) == 0:
-            return np.empty((0, 0))
-        normal = self._gram / np.outer(self._scale, self._scale)
-        return np.asarray(np.linalg.pinv(normal, rcond=1e-12, hermitian=True) / np.outer(self._scale, self._scale))
+        return inverse_of(self._gram) if len(self._c) else np.empty((0, 0))
+
+
+def inverse_of(gram: Array) -> Array:
+    """Pseudo-inverse of a Gram matrix (J, J) of columns of any units."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    sizes = np.outer(scale, scale)
+    return np.asarray(np.linalg.pinv(gram / sizes, rcond=1e-12, hermitian=True) / sizes)
 
 
 def _flat(columns: Array) -> Array:

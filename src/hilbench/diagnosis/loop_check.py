@@ -18,7 +18,8 @@ from scipy.signal import lfilter
 
 from hilbench.arrays import Array
 from hilbench.diagnosis.noise import NORMAL_95
-from hilbench.plant.parameters import per_item
+from hilbench.plant.model_file import Machine
+from hilbench.plant.parameters import DriveParameters, per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 
 #: What is slower than this, s, is not looked at: an offset of the torque is no gain.
@@ -70,17 +71,20 @@ class Loop:
 
     def is_only_late(self, model: ModelParameters) -> bool:
         """True if its gains are the model's, and it differs from the model's by nothing but a lag."""
-        drives = model.drives
-        if drives is None or not self.is_understood:
+        if model.drives is None or not self.is_understood:
             return False
-        kp, ki = (
-            per_item(drives.velocity_kp_Nm_s_per_rad, self.axis),
-            per_item(drives.velocity_ki_Nm_per_rad, self.axis),
-        )
+        kp, ki, _ = _of_model(model.drives, self.axis)
         off_kp, off_ki = abs(self.kp_Nm_s_per_rad - kp), abs(self.ki_Nm_per_rad - ki)
         return max(off_kp / kp, off_ki / ki) < _GAINS or (
             off_kp < _CERTAIN * self.kp_deviation and off_ki < _CERTAIN * self.ki_deviation
         )
+
+
+def _of_model(drives: DriveParameters, axis: int) -> tuple[float, float, float]:
+    """Gains of the velocity loop, N·m·s/rad and N·m/rad, and lag of the current loop, s, of an axis by the model."""
+    gains = drives.velocity_kp_Nm_s_per_rad, drives.velocity_ki_Nm_per_rad
+    kp, ki, lag_s = (per_item(each, axis) for each in (*gains, drives.current_loop_time_constant_s))
+    return kp, ki, lag_s
 
 
 @dataclass(frozen=True)
@@ -114,8 +118,7 @@ def loop_of(
     if drives is None or np.count_nonzero(rows) < 100:
         return None
     axis = drive.axis
-    kp, ki = per_item(drives.velocity_kp_Nm_s_per_rad, axis), per_item(drives.velocity_ki_Nm_per_rad, axis)
-    lag_s = per_item(drives.current_loop_time_constant_s, axis)
+    kp, ki, lag_s = _of_model(drives, axis)
     limit = _LIMITED * per_item(drives.torque_limit_Nm, axis)
     limited = uniform_filter1d((np.abs(drive.torque_Nm) > limit).astype(np.float64), round(0.5 / period_s) | 1)
     rows = rows & (np.abs(thin(limited)) < 1e-6)
@@ -204,27 +207,24 @@ def _loop_terms(
     return lagging
 
 
-def nuisance_of(loop: Loop, model: ModelParameters) -> dict[str, dict[str, tuple[float, tuple[float, float], str]]]:
+def nuisance_of(loop: Loop, model: Machine) -> dict[str, dict[str, tuple[float, tuple[float, float], str]]]:
     """Certain differences of a drive's loops from the model's: by effect and parameter the value, interval and unit."""
-    drives = model.drives
-    if drives is None or loop.is_known or not loop.is_understood:
+    if model.drives is None or loop.is_known or not loop.is_understood:
         return {}
-    kp, ki = per_item(drives.velocity_kp_Nm_s_per_rad, loop.axis), per_item(drives.velocity_ki_Nm_per_rad, loop.axis)
-    lag_s = per_item(drives.current_loop_time_constant_s, loop.axis)
+    kp, ki, lag_s = _of_model(model.drives, loop.axis)
 
     def value(estimate: float, deviation: float, of: float) -> tuple[float, tuple[float, float], str]:
         middle, half = estimate / of - 1.0, NORMAL_95 * deviation / of
         return middle, (middle - half, middle + half), "1"
 
     found: dict[str, dict[str, tuple[float, tuple[float, float], str]]] = {}
-    gains = {
-        "kp_relative_change": value(loop.kp_Nm_s_per_rad, loop.kp_deviation, kp),
-        "ki_relative_change": value(loop.ki_Nm_per_rad, loop.ki_deviation, ki),
-    }
     if abs(loop.kp_Nm_s_per_rad - kp) > _CERTAIN * loop.kp_deviation or (
         abs(loop.ki_Nm_per_rad - ki) > _CERTAIN * loop.ki_deviation
     ):
-        found["drive_gain"] = gains
+        found["drive_gain"] = {
+            "kp_relative_change": value(loop.kp_Nm_s_per_rad, loop.kp_deviation, kp),
+            "ki_relative_change": value(loop.ki_Nm_per_rad, loop.ki_deviation, ki),
+        }
     half_s = NORMAL_95 * loop.lag_deviation_s
     if abs(loop.lag_s - lag_s) > _CERTAIN * loop.lag_deviation_s:
         more_s = loop.lag_s - lag_s

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeVar
+
+import numpy as np
 
 from hilbench.arrays import Array
 from hilbench.machine_kinds import machine_part
@@ -17,6 +19,8 @@ from hilbench.plant.web_line.emulation import Emulation
 
 #: How a bench emulated a machine with its load motors.
 AnyEmulation = Emulation | ShaftEmulation
+#: One kind of machine.
+AnyMachine = TypeVar("AnyMachine", bound=Machine)
 
 #: The unit of a speed, in a channel's name and as a person writes it, by that of the position.
 _RATES: Final = {"m": ("m_s", "m/s"), "rad": ("rad_s", "rad/s")}
@@ -58,7 +62,12 @@ def speed_unit(model: Machine) -> str:
     return _RATES[model.position_unit][1]
 
 
-def with_effects(model: Machine, entries: Sequence[EffectEntry]) -> Machine:
+def packed(model: Machine) -> Array:
+    """Parameter vector (P,) of a model."""
+    return np.asarray(of_kind(model).pack(model))
+
+
+def with_effects(model: AnyMachine, entries: Sequence[EffectEntry]) -> AnyMachine:
     """The model with these effects instead of its own, validated. Raises pydantic.ValidationError."""
     data = model.model_dump()
     data["effects"] = [entry.model_dump() for entry in entries]

@@ -21,6 +21,7 @@ from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.web_tensions import StationSensor, carriage_forces, station_sensors, tension_channels
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine
+from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
@@ -143,15 +144,15 @@ class Measured:
 
 def measured_from(recording: Recording, model: Machine, place: str | Path) -> Measured:
     """Check and take what is needed. Raises UnusableInputError, one line, for what can't be diagnosed."""
-    lone = machines.is_lone(model)
-    commands = [machines.speed_channel(model, axis, "_cmd") for axis in range(1, model.axis_count + 1)]
+    lone, axes = machines.is_lone(model), range(1, model.axis_count + 1)
+    commands = [machines.speed_channel(model, axis, "_cmd") for axis in axes]
     emulated = any(_LOAD_MOTOR.fullmatch(name) and bool(np.any(v)) for name, v in recording.channels.items())
     free = not lone or (emulated and model.drives is not None)  # run with the drives' loops, which know their limits
     if TIME not in recording:
         raise UnusableInputError(
             place, f"channel {TIME} missing, expected beside {', '.join(recording.channels)}: {_MAPPED}"
         )
-    if any(f"tau{axis}_cmd_Nm" in recording for axis in range(1, model.axis_count + 1)):
+    if any(f"tau{axis}_cmd_Nm" in recording for axis in axes):
         raise UnusableInputError(
             place, "a recording of an axis in torque mode, expected all axes of a line with 'stations' to follow speeds"
         )
@@ -170,15 +171,9 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         )
     if not lone and model.drives is None:
         raise UnusableInputError(place, "a model with a web and no 'drives', expected the drives' control loops")
-    axes = range(1, model.axis_count + 1)
-    positions, speeds, torques = (
-        {axis: name(axis) for axis in axes}
-        for name in (
-            lambda axis: machines.position_channel(model, axis),
-            lambda axis: machines.speed_channel(model, axis),
-            lambda axis: f"tau{axis}_Nm",
-        )
-    )
+    torques = {axis: f"tau{axis}_Nm" for axis in axes}
+    positions = {axis: machines.position_channel(model, axis) for axis in axes}
+    speeds = {axis: machines.speed_channel(model, axis) for axis in axes}
     wanted = [each[axis] for axis in axes for each in (torques, positions, speeds)]
     tensions: dict[int, str] = {}
     if lone:
@@ -189,18 +184,18 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         _check_enough(recording, place, commands)
         tensions = tension_channels(recording, model.span_count)
     there = [name for name in wanted if name in recording] + list(tensions.values())
-    if other := _other_axis(recording, model):
-        there.append(other)
-    recording.require(there, place)
+    other = machines.position_channel(model, 2)  # of the axis that the only one of a rotary machine is coupled with
+    coupled = model.position_unit == "rad" and other in recording
+    recording.require([*there, other] if coupled else there, place)
+
+    def channel(name: str) -> Array:
+        return np.asarray(recording[name], np.float64)
 
     def channels(names: dict[int, str]) -> dict[int, Array]:
-        return {axis: np.asarray(recording[key], np.float64) for axis, key in names.items() if key in recording}
+        return {axis: channel(name) for axis, name in names.items() if name in recording}
 
     n = len(recording)
     commanded = free and all(name in recording for name in commands)
-    boundary = np.zeros((n, 2))
-    if not lone:
-        boundary = np.column_stack([np.asarray(recording[name], np.float64) for name in _BOUNDARY])
     x, v = channels(positions), channels(speeds)
     integrated = lone and not x
     if integrated:
@@ -208,10 +203,8 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
     measured = Measured(
         t_s=recording.time_s - recording.time_s[0],
         period_s=period_s,
-        commands_m_s=np.column_stack([np.asarray(recording[name], np.float64) for name in commands])
-        if commanded
-        else np.empty((n, 0)),
-        boundary=boundary,
+        commands_m_s=np.column_stack([channel(name) for name in commands]) if commanded else np.empty((n, 0)),
+        boundary=np.zeros((n, 2)) if lone else np.column_stack([channel(name) for name in _BOUNDARY]),
         tau_Nm=channels(torques),
         x_m=x,
         v_m_s=v,
@@ -223,18 +216,12 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         integrated=integrated,
         sensors_m=station_sensors(recording, model),
         forces_N=carriage_forces(recording, model),
-        other_rad=np.asarray(recording[other], np.float64) if other else None,
+        other_rad=channel(other) if coupled else None,
     )
     if machines.has_stations(model) and abs(float(measured.commands_m_s[0, -1])) > STANDSTILL_M_S:
         raise UnusableInputError(place, "a line with 'stations' in motion at the first row, expected it at rest there")
     _check_plausible(measured, model, place)
     return measured
-
-
-def _other_axis(recording: Recording, model: Machine) -> str | None:
-    """The channel of the axis that the only one of a rotary machine is coupled with, where it is recorded."""
-    name = machines.position_channel(model, 2)
-    return name if model.position_unit == "rad" and name in recording else None
 
 
 def _check_lone(recording: Recording, model: Machine, place: str | Path) -> None:
@@ -344,9 +331,8 @@ def _limits_Nm(model: Machine) -> dict[str, float]:
     """Torque limits of the drives, by torque channel."""
     if model.drives is None:
         return {}
-    limits = model.drives.torque_limit_Nm
-    each = limits if isinstance(limits, list) else [limits] * model.axis_count
-    return {f"tau{axis}_Nm": float(limit) for axis, limit in enumerate(each, start=1)}
+    limits_Nm = model.drives.torque_limit_Nm
+    return {f"tau{axis}_Nm": float(per_item(limits_Nm, axis)) for axis in range(1, model.axis_count + 1)}
 
 
 def _check_units(measured: Measured, model: Machine, place: str | Path) -> None:
@@ -459,15 +445,12 @@ def _check_positions(measured: Measured, model: Machine, place: str | Path) -> N
 
 
 def _check_torques(measured: Measured, model: Machine, place: str | Path) -> None:
-    for axis, torque in measured.tau_Nm.items():
+    limits_Nm = _limits_Nm(model)
+    for name, torque in ((f"tau{axis}_Nm", torque) for axis, torque in measured.tau_Nm.items()):
         if float(np.ptp(torque)) == 0.0:
-            raise UnusableInputError(place, f"channel tau{axis}_Nm never changes, expected a measured torque")
-        if model.drives is None:
-            continue
-        limits = model.drives.torque_limit_Nm
-        limit = limits[axis - 1] if isinstance(limits, list) else limits
-        largest = float(np.max(np.abs(torque)))
+            raise UnusableInputError(place, f"channel {name} never changes, expected a measured torque")
+        largest, limit = float(np.max(np.abs(torque))), limits_Nm.get(name, float("inf"))
         if largest > 3.0 * limit:
             raise UnusableInputError(
-                place, f"channel tau{axis}_Nm reaches {largest:g}, expected N·m within the drive's limit of {limit:g}"
+                place, f"channel {name} reaches {largest:g}, expected N·m within the drive's limit of {limit:g}"
             )

@@ -14,7 +14,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import binary_dilation
 from scipy.signal import butter, sosfiltfilt
 
-from hilbench.arrays import Array
+from hilbench.arrays import Array, runs
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.coupling import Arm, Motion, by_accelerations, columns, explains, left_unseen, likelier
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
@@ -194,8 +194,8 @@ def _count_between_rows(position: Array, moves: NDArray[np.bool_]) -> float:
     Rows that were put onto another grid have parts of a count between them, and held values are whole counts apart.
     moves (n - 1,): whether the position does, from each row to the next.
     """
-    runs = _runs(moves)
-    short = runs[(runs[:, 1] - runs[:, 0] <= _ROWS_OF_A_COUNT) & (runs[:, 0] > 0) & (runs[:, 1] < len(moves))]
+    first, end = runs(moves).T
+    short = runs(moves)[(end - first <= _ROWS_OF_A_COUNT) & (first > 0) & (end < len(moves))]
     return float(np.min(np.abs(position[short[:, 1]] - position[short[:, 0]]))) if len(short) >= _COUNTS else 0.0
 
 
@@ -370,7 +370,7 @@ class OnMeasuredMotion(Predictor):
         unknown = ~self._data.usable()
         at_standstill |= _with_surroundings(unknown)
         at_standstill[[0, -1]] = unknown[0] = True
-        for _, end in _runs(unknown):
+        for _, end in runs(unknown):
             at_standstill[end : end + round(self._memory_s / self._period_s)] = True
         return ~binary_dilation(at_standstill, iterations=round(_REACH / self.corner_hz / self._period_s))
 
@@ -379,7 +379,7 @@ class OnMeasuredMotion(Predictor):
         """Number of starts of the recording: after each gap once more."""
         unknown = ~self._data.usable()
         unknown[0] = True
-        return len(_runs(unknown))
+        return len(runs(unknown))
 
     def floor(self, signal: int) -> float:
         """Noise of the measured torque above the band in which motion is known, carried into the band as white."""
@@ -561,20 +561,15 @@ def _filter_for(data: Measured) -> MotionFilter:
 def _passing(speed: Array, slow: NDArray[np.bool_], most: int) -> NDArray[np.bool_]:
     """(n,): the slow rows of at most so many in a row, in which the speed changes its sign."""
     found = np.zeros_like(slow)
-    for first, end in _runs(slow):
+    for first, end in runs(slow):
         if end - first <= most and first > 0 and end < len(slow) and speed[first - 1] * speed[end] < 0.0:
             found[first:end] = True
     return found
 
 
-def _runs(rows: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(runs, 2): first of the rows that follow one another, and the one after the last."""
-    return np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]))).reshape(-1, 2)
-
-
 def _with_surroundings(left_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(n,): the rows left out, and as many on either side of each gap: the longer it is the worse it is bridged."""
     found = left_out.copy()
-    for first, end in _runs(left_out):
+    for first, end in runs(left_out):
         found[max(2 * first - end, 0) : 2 * end - first] = True
     return found

@@ -25,8 +25,7 @@ from typing import Final
 import numpy as np
 
 from hilbench.arrays import Array
-from hilbench.diagnosis.fit import Fit, fit
-from hilbench.diagnosis.fit_with_residual_noise import fitted, uncertainty_of, weights
+from hilbench.diagnosis.fit import Fit, fit, fitted, uncertainty_of, weights
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_noise import Uncertainty
@@ -301,18 +300,12 @@ def _memory_s(term: Term) -> float:
     return _FADED / (2.0 * np.pi * term.values["frequency_Hz"] * term.values["damping"])
 
 
-@dataclass(frozen=True)
-class Unseen:
-    """An effect at the lowest frequency at which its usual size could not be seen."""
-
-    term: Term
-    frequency_Hz: float
-    smallest: float  #: strength that could be seen there; inf: none
-
-
-def first_unseen(space: Space, proposer: Proposer, selection: Selection, deviations: float) -> Iterator[Unseen]:
-    """First unseen frequency of each effect with one that neither model nor selection has; nothing of one that would be
-    seen at all frequencies that are looked at.
+def first_unseen(
+    space: Space, proposer: Proposer, selection: Selection, deviations: float
+) -> Iterator[tuple[Term, float, float]]:
+    """Each effect with a frequency that neither model nor selection has at the lowest one, Hz, at which its usual size
+    could not be seen, and the strength that could be seen there, inf: none; nothing of one that would be seen at all
+    frequencies that are looked at.
 
     deviations: of the noise, from how many on something is seen.
     """
@@ -327,7 +320,7 @@ def first_unseen(space: Space, proposer: Proposer, selection: Selection, deviati
         ]
         smallest = _smallest(space, selection, direct, looked_at, between, deviations)
         found = sorted(zip([*looked_at, *between], smallest, strict=True), key=lambda one: _Hz(one[0]))
-        yield from [Unseen(term, _Hz(term), float(s)) for term, s in found if not s <= term.size][:1]
+        yield from [(term, float(f"{_Hz(term):.3g}"), float(s)) for term, s in found if not s <= term.size][:1]
 
 
 def _frequency(term: Term) -> str | None:

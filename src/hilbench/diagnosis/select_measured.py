@@ -25,8 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.arrays import Array
-from hilbench.diagnosis.fit import Fit
-from hilbench.diagnosis.fit_with_residual_noise import fitted, stated_uncertainty, uncertainty_of
+from hilbench.diagnosis.fit import Fit, fitted, stated_uncertainty, uncertainty_of
 from hilbench.diagnosis.measured_rules import (
     CHANCE,
     LEAST_SHARE,

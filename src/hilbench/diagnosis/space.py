@@ -168,7 +168,7 @@ class Space:
     _known: dict[bytes, Array] = field(init=False, default_factory=dict)  #: latest predictions, by parameter vector
 
     def __post_init__(self) -> None:
-        self._base = machines.of_kind(self.model).pack(self.model)
+        self._base = machines.packed(self.model)
         self._quick = np.zeros_like(self.predictor.measured)
         self.before = self.residual([])
         self.split = self._balanced(self.before)

@@ -251,7 +251,7 @@ def strength_parts(terms: Sequence[Term]) -> list[slice]:
 def pack_with(model: Machine, terms: list[Term], base: Array | None = None) -> Array:
     """The kernel's parameter vector of a model with these terms; base: that of the model, where it is known."""
     kind = machines.of_kind(model)
-    parameters: Array = kind.pack(model) if base is None else base.copy()
+    parameters = machines.packed(model) if base is None else base.copy()
     for term in sorted(terms, key=_of_all_first):
         kind.write_effect(model, parameters, term.effect, term.axis, term.slot, term.own, term.section)
     return parameters

@@ -14,7 +14,6 @@ from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured
 from hilbench.live.machine import SHORT, LiveMachine, Segment
 from hilbench.live.window import Window
-from hilbench.plant.model_file import Machine
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.shaft import look
@@ -40,18 +39,12 @@ def machine(config: BenchConfig) -> LiveShaft:
     return LiveShaft(config.servo_axis, emulation_of(config) if config.load_motors else None, config.cycle_time_s)
 
 
-def _shaft(model: Machine) -> ServoAxisParameters:
-    """Narrow a machine's type to a servo axis."""
-    assert isinstance(model, ServoAxisParameters), "a servo axis is diagnosed as one"
-    return model
-
-
-def _inertia_factor(model: Machine, time_s: float) -> float:
+def _inertia_factor(model: ServoAxisParameters, time_s: float) -> float:
     """Factor of a model's effects on its inertia at a time of theirs."""
-    return float(look(lay.pack(_shaft(model)), time_s)[0])
+    return float(look(lay.pack(model), time_s)[0])
 
 
-class LiveShaft(LiveMachine):
+class LiveShaft(LiveMachine[ServoAxisParameters]):
     """A `LiveMachine` whose twin estimates the inertia."""
 
     speeds = ("v1_rad_s",)
@@ -63,23 +56,22 @@ class LiveShaft(LiveMachine):
         super().__init__(model, emulation, cycle_s)
         self.usual_Nm = np.array([machine_sizes(model).force_N])
 
-    def gap(self, model: Machine) -> ShaftGap:
+    def gap(self, model: ServoAxisParameters) -> ShaftGap:
         """Residual generator of one model."""
-        return ShaftGap(_shaft(model), self.cycle_s)
+        return ShaftGap(model, self.cycle_s)
 
-    def estimate_of(self, model: Machine) -> Array:
+    def estimate_of(self, model: ServoAxisParameters) -> Array:
         """Inertia (1,) as the model has it, kg·m²."""
         return self.estimate_at(model, 0.0)
 
-    def with_estimate(self, model: Machine, estimate: Array) -> ServoAxisParameters:
+    def with_estimate(self, model: ServoAxisParameters, estimate: Array) -> ServoAxisParameters:
         """The model with another inertia (1,), its effects included: the shaft has what exceeds the motor's rotor."""
-        shaft = _shaft(model)
-        behind = max(float(estimate[0]) / _inertia_factor(shaft, 0.0) - shaft.motor.inertia_kg_m2, 0.0)
-        return shaft.model_copy(update={"shaft": shaft.shaft.model_copy(update={"inertia_kg_m2": behind})})
+        behind = max(float(estimate[0]) / _inertia_factor(model, 0.0) - model.motor.inertia_kg_m2, 0.0)
+        return model.model_copy(update={"shaft": model.shaft.model_copy(update={"inertia_kg_m2": behind})})
 
-    def estimate_at(self, model: Machine, time_s: float) -> Array:
+    def estimate_at(self, model: ServoAxisParameters, time_s: float) -> Array:
         """Inertia (1,) as the model's effects make it at a time of theirs."""
-        return np.array([_shaft(model).inertia_kg_m2 * _inertia_factor(model, time_s)])
+        return np.array([model.inertia_kg_m2 * _inertia_factor(model, time_s)])
 
     def is_of_estimate(self, effect_id: str) -> bool:
         """True if an effect is a change of the inertia."""
@@ -94,19 +86,17 @@ class LiveShaft(LiveMachine):
         begin = max(first, window.first)
         return begin if begin < end else None
 
-    def estimate_in(self, window: Window, model: Machine, known: Array, first: int, end: int) -> Array:
+    def estimate_in(self, window: Window, model: ServoAxisParameters, known: Array, first: int, end: int) -> Array:
         """Inertia by the torques of its accelerations, fitted with a constant one and one in proportion to the
         speed."""
         segment = Segment.of(self, window, self.with_estimate(model, known), first, end, first)
-        here, there = (
-            segment.residual(self.packed(self.with_estimate(model, known * (1.0 + share))))[0] for share in (0.0, _STEP)
-        )
+        here, there = (segment.residual(self.with_estimate(model, known * (1.0 + share)))[0] for share in (0.0, _STEP))
         rows, speed = segment.predictor.rows, segment.data.commands_m_s[:, 0]
         columns = np.column_stack([(there - here) / _STEP, np.ones(len(here)), speed])[rows]
         share = -float(np.linalg.lstsq(columns, here[rows], rcond=None)[0][0])
         return np.asarray(known * (1.0 + float(np.clip(share, -_MOST, _MOST))))
 
-    def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
+    def data_of(self, window: Window, model: ServoAxisParameters, first: int, end: int, begun: int) -> Measured:
         """Measured data of these cycles, of a shaft, which has no memory of earlier ones. Raises UnusableInputError
         for what can't be diagnosed."""
         data = super().data_of(window, model, first, end, begun)

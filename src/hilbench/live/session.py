@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -37,32 +37,20 @@ from hilbench.diagnosis.noise import floor, rms
 from hilbench.diagnosis.predictor import deviations_of, torques_of
 from hilbench.diagnosis.residual_analysis import exceeds_noise, in_floors, misfits
 from hilbench.errors import UnusableInputError
-from hilbench.live.machine import SHORT, LiveMachine, Segment, shows_in_torque
+from hilbench.live.machine import SHORT, LiveMachine, Segment
 from hilbench.live.watch import ROW, Piece, Watch
 from hilbench.live.window import Window
-from hilbench.plant.effect import Effect, MachineKind, ProbeOver, Section
+from hilbench.plant.effect import Effect, ProbeOver, Section
 from hilbench.plant.effects import find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 from hilbench.topology.blocks import LiveDiagnosisConfig
 from hilbench.twin.model_switch import with_effects
 
+AnyLive = LiveMachine[Any]
+
 #: Effects that begin at a time, or swing with it, by a clock that a window and a twin do not share.
 _BY_THE_CLOCK = (ProbeOver.TIME, ProbeOver.ONSET, ProbeOver.ONSET_AND_DURATION, ProbeOver.PASSAGE)
-
-
-def _why_not_carried(effect_id: str, kind: MachineKind) -> str:
-    """Why it does not mean the same in a twin as in a window of data; "" where it does."""
-    probe = find_effect(effect_id, kind).probe
-    by_the_clock = probe is not None and probe.over in _BY_THE_CLOCK
-    return "it goes by a clock that the twin does not have" if by_the_clock else ""
-
-
-def _as_text(model: Machine, configured: Machine) -> str:
-    """Effects as the twin reads them; "" for those that it was configured with."""
-    if model.effects == configured.effects:
-        return ""
-    return json.dumps([entry.model_dump() for entry in model.effects], separators=(",", ":"))
 
 
 def _found_effect(named: NamedEffect, model: Machine) -> FoundEffect:
@@ -119,7 +107,7 @@ class _Case:
 class Session:
     """Live diagnosis of one run of a machine; `names`: of the signals of a row."""
 
-    def __init__(self, names: Sequence[str], machine: LiveMachine, config: LiveDiagnosisConfig, cycle_s: float) -> None:
+    def __init__(self, names: Sequence[str], machine: AnyLive, config: LiveDiagnosisConfig, cycle_s: float) -> None:
         self._machine = machine
         self._configured: Machine = machine.configured
         self._in_use: Machine = machine.configured
@@ -293,13 +281,14 @@ class Session:
         floors = {k: predictor.floor(k) for k in torques_of(predictor)}
         if exceeds_noise(residual, predictor.rows, floors):
             return False
-        conditions = predictor.conditions(self._machine.packed(model))
+        conditions = predictor.conditions(machines.packed(model))
         found = misfits(*in_floors(predictor.names, residual, floors), predictor.rows, conditions)
         return not any(each.significant for each in found)
 
     def _judge(self, found: Diagnosis, case: _Case, end: int) -> None:
         structure = [e for e in found.effects if not self._machine.is_of_estimate(e.effect)]
-        undecided = found.verdict == "unknown" or any(map(self._machine.is_of_estimate, _tied(found)))
+        tied = [name.split(" ")[0] for effect in found.effects for name in effect.tied_with]
+        undecided = found.verdict == "unknown" or any(map(self._machine.is_of_estimate, tied))
         if found.verdict == "complete" or (found.effects and not structure and found.verdict == "named"):
             why = "nothing is missing" if found.verdict == "complete" else "it is the twin's estimate that has changed"
             self._send("ended", case.begun, f"{why}: the model stays as it is")
@@ -339,12 +328,12 @@ class Session:
             self._send("ended", case.begun, f"can't be tried: {error}")
             self._begin_anew()
             return
-        before = segment.residual(self._machine.packed(self._machine.with_estimate(self._in_use, self._estimate)))
+        before = segment.residual(self._machine.with_estimate(self._in_use, self._estimate))
         (_, old_cost), (after, new_cost) = (self._fitted(segment, model) for model in (self._in_use, case.candidate))
         gain = old_cost - new_cost
         # A change that many samples make certain may still be too small to matter: of an effect that the model
         # has, a little more or less, put down to another one.
-        if gain > _DECISIVE and shows_in_torque(segment, before, after):
+        if gain > _DECISIVE and segment.shows_in_torque(before, after):
             self._decide(case, self._gap(case.candidate, first, end, segment.predictor.rows))
         elif gain < 0.0 or end - first >= _TRIALS * length:
             self._send("dismissed", case.begun, "on new data the model in use is as good as the changed one: it stays")
@@ -363,9 +352,10 @@ class Session:
         residual = segment.residual(self._changed(model, best))
         return residual, segment.misfit(residual) + float(np.sum((best / _SURE) ** 2))
 
-    def _changed(self, model: Machine, shares: Array) -> Array:
-        """A model whose estimate is more by these shares (M,) of what it is, as a predictor takes it."""
-        return self._machine.packed(self._machine.with_estimate(model, (1.0 + shares) * self._estimate))
+    def _changed(self, model: Machine, shares: Array) -> Machine:
+        """A model whose estimate is more by these shares (M,) of what it is."""
+        changed: Machine = self._machine.with_estimate(model, (1.0 + shares) * self._estimate)
+        return changed
 
     def _gap(self, candidate: Machine, first: int, end: int, rows: Rows) -> FoundGap:
         """Gap of the models in use and changed, from cycle `first` to before `end`, on the `rows` (n,) of the
@@ -391,12 +381,15 @@ class Session:
     def _decide(self, case: _Case, gap: FoundGap) -> None:
         assert case.candidate is not None
         self._state = "waiting"
-        kind = self._configured.machine_kind
-        why = next(filter(None, (_why_not_carried(effect.effect, kind) for effect in case.effects)), "")
-        if why:
+        probes = (find_effect(each.effect, self._configured.machine_kind).probe for each in case.effects)
+        if any(probe is not None and probe.over in _BY_THE_CLOCK for probe in probes):
+            why = "it goes by a clock that the twin does not have"
             self._send("ended", case.begun, f"{why}: the model stays as it is")
             return
-        text = _as_text(case.candidate, self._configured)
+        entries = case.candidate.effects
+        text = json.dumps([entry.model_dump() for entry in entries], separators=(",", ":"))
+        if entries == self._configured.effects:
+            text = ""  # as the twin reads it, those that it was configured with
         smaller = f"{gap.signal} {gap.before:.3g} → {gap.after:.3g} {gap.unit} on new data, noise {gap.noise_floor:.3g}"
         news = DiagnosisUpdate(
             "decided", self._window.sync(case.begun), f"decided: {smaller}", case.effects, case.gone, text, gap
@@ -423,11 +416,6 @@ class Session:
         return round(duration_s / self._cycle_s)
 
 
-def _tied(found: Diagnosis) -> list[str]:
-    """Ids of what the data can't tell from what was named."""
-    return [name.split(" ")[0] for effect in found.effects for name in effect.tied_with]
-
-
 def _place(effect: FoundEffect) -> str:
     return f"{effect.effect} of {effect.part}" if effect.part else effect.effect
 
@@ -443,7 +431,7 @@ _NOISE_Nm: Final = 0.05
 _BEFORE_S, _STRETCH_S = 2.0, SHORTEST_S + 0.5
 
 
-def warm_up(names: Sequence[str], machine: LiveMachine, config: LiveDiagnosisConfig, cycle_s: float) -> None:
+def warm_up(names: Sequence[str], machine: AnyLive, config: LiveDiagnosisConfig, cycle_s: float) -> None:
     """Compile and load a `Session` with these arguments; nothing else is kept."""
     first, count = round(_BEFORE_S / cycle_s), round((_BEFORE_S + _STRETCH_S) / cycle_s)
     noise, t_s = np.random.default_rng(0), cycle_s * np.arange(count)
@@ -466,4 +454,4 @@ def warm_up(names: Sequence[str], machine: LiveMachine, config: LiveDiagnosisCon
     window.add(count - 1, Samples.of(count - 1, rows).rows)
     with suppress(UnusableInputError):  # of made-up data nothing has to come
         segment = Segment.of(machine, window, machine.configured, first, count, 0)
-        segment.residual(machine.packed(machine.configured))
+        segment.residual(machine.configured)

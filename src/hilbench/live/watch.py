@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hilbench.arrays import Array, Rows
+from hilbench.diagnosis.machines import AnyMachine
 from hilbench.diagnosis.noise import floor
 from hilbench.live.machine import SHORT, LiveMachine
-from hilbench.plant.model_file import Machine
 
 #: Pieces in a row that have to part, so that a passing transient is none; pieces that the noise is learned from, and
 #: how many make it known: one of 25 means is off by a fifth, and up to half, and what parts is not learned from.
@@ -47,7 +47,7 @@ class Piece:
 class Watch:
     """The gap of one model of a machine."""
 
-    def __init__(self, machine: LiveMachine, model: Machine) -> None:
+    def __init__(self, machine: LiveMachine[AnyMachine], model: AnyMachine) -> None:
         self._gap = machine.gap(model)
         self._machine = machine
         self._rests: deque[Array] = deque(maxlen=_LEARNED)

@@ -17,11 +17,10 @@ from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Before, Measured
 from hilbench.diagnosis.predictor import choice, deviations_of
 from hilbench.diagnosis.web_line.free_run import remembered_m
-from hilbench.live.machine import SHORT, LiveMachine
+from hilbench.live.machine import SHORT, LiveMachine, Segment
 from hilbench.live.window import Window
 from hilbench.plant.effect import Domain
 from hilbench.plant.effects import find_effect
-from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.driving_force import driving_force_N
@@ -168,13 +167,7 @@ def machine(config: BenchConfig) -> LiveLine:
     return LiveLine(config.web_line, emulation, config.cycle_time_s, config.shape.estimated)
 
 
-def _line(model: Machine) -> ModelParameters:
-    """Narrow a machine's type to a web line."""
-    assert isinstance(model, ModelParameters), "a line is diagnosed as one"
-    return model
-
-
-class LiveLine(LiveMachine):
+class LiveLine(LiveMachine[ModelParameters]):
     """A `LiveMachine` whose twin estimates E, in `spans` (None: in all of them). Data of what began during the run
     start at a moment when little happens."""
 
@@ -197,34 +190,34 @@ class LiveLine(LiveMachine):
         self.estimated = tuple(f"E{number[span]}_sim_Pa" for span in self._spans)
         self.usual_Nm = np.array([machine_sizes(model, k).force_N / model.motor_rad_per_m(k) for k in axes])
 
-    def gap(self, model: Machine) -> ModelGap:
+    def gap(self, model: ModelParameters) -> ModelGap:
         """Residual generator of one model."""
-        return ModelGap(_line(model), self._spans, self.cycle_s)
+        return ModelGap(model, self._spans, self.cycle_s)
 
-    def estimate_of(self, model: Machine) -> Array:
+    def estimate_of(self, model: ModelParameters) -> Array:
         """E of each span in which it is estimated (M,) as the model has it, Pa."""
-        return np.array([_line(model).youngs_modulus_Pa(span) for span in self._spans])
+        return np.array([model.youngs_modulus_Pa(span) for span in self._spans])
 
-    def with_estimate(self, model: Machine, estimate: Array) -> Machine:
+    def with_estimate(self, model: ModelParameters, estimate: Array) -> ModelParameters:
         """The model with another E in these spans (M,); what is around them stays."""
-        of_line, shares = _line(model), dict[int, float]()
-        for entry in of_line.effects:
+        shares = dict[int, float]()
+        for entry in model.effects:
             if entry.effect == _SHIFT:
-                spans = range(1, of_line.span_count + 1) if entry.span is None else (entry.span,)
+                spans = range(1, model.span_count + 1) if entry.span is None else (entry.span,)
                 shares |= dict.fromkeys(spans, entry.parameters[_SHARE])
         for span, modulus_Pa in zip(self._spans, estimate.tolist(), strict=True):
-            shares[span] = modulus_Pa / of_line.youngs_modulus_Pa(span) - 1.0
-        kept = [entry for entry in of_line.effects if entry.effect != _SHIFT]
+            shares[span] = modulus_Pa / model.youngs_modulus_Pa(span) - 1.0
+        kept = [entry for entry in model.effects if entry.effect != _SHIFT]
         shifts = [
-            EffectEntry(effect=_SHIFT, span=span if of_line.span_count > 1 else None, parameters={_SHARE: share})
+            EffectEntry(effect=_SHIFT, span=span if model.span_count > 1 else None, parameters={_SHARE: share})
             for span, share in shares.items()
         ]
-        return machines.with_effects(of_line, [*kept, *shifts])
+        return machines.with_effects(model, [*kept, *shifts])
 
-    def estimate_at(self, model: Machine, time_s: float) -> Array:
+    def estimate_at(self, model: ModelParameters, time_s: float) -> Array:
         """E in these spans (M,) as the model's effects make it at a time of theirs."""
-        p = lay.pack(of_line := _line(model))
-        return np.array([of_line.youngs_modulus_Pa(k) * elasticity_factor(p, k, time_s) for k in self._spans])
+        p = lay.pack(model)
+        return np.array([model.youngs_modulus_Pa(k) * elasticity_factor(p, k, time_s) for k in self._spans])
 
     def is_of_estimate(self, effect_id: str) -> bool:
         """True if an effect is a change of E."""
@@ -248,12 +241,12 @@ class LiveLine(LiveMachine):
         quiet = np.flatnonzero((moved < _QUIET_M_S) & (np.abs(speeds[before:, -1]) > _MOVES_M_S) & steady)
         return None if len(quiet) == 0 else end - len(moved) + int(quiet[0])
 
-    def data_of(self, window: Window, model: Machine, first: int, end: int, begun: int) -> Measured:
+    def data_of(self, window: Window, model: ModelParameters, first: int, end: int, begun: int) -> Measured:
         """Measured data of these cycles, of what has begun in cycle `begun`: until then the web was strained as by
         the model. Raises UnusableInputError for what can't be diagnosed."""
         data, measured = super().data_of(window, model, first, end, begun), window.measured(first, end)
         put_off_m = _put_off_m(data.commands_m_s, measured, self.cycle_s)
-        data = replace(data, before=self._before(window, _line(model), begun, first), put_off_m=put_off_m)
+        data = replace(data, before=self._before(window, model, begun, first), put_off_m=put_off_m)
         if np.all(measured):
             return data
         pushed = self._pushed(data, model, measured)
@@ -261,7 +254,7 @@ class LiveLine(LiveMachine):
         left_out[list(pushed)] = True
         return replace(data, pushed=pushed, left_out=left_out)
 
-    def _pushed(self, data: Measured, model: Machine, measured: Rows) -> tuple[int, ...]:
+    def _pushed(self, data: Measured, model: ModelParameters, measured: Rows) -> tuple[int, ...]:
         """Rows at which rollers are pushed off their trajectory at once, after rows that were not `measured` in time
         (n,): a load motor holds its torque as long as it receives nothing from the bench, and that pushes the
         rollers."""
@@ -269,7 +262,7 @@ class LiveLine(LiveMachine):
         away = [place for place, name in enumerate(predictor.names) if _AWAY.fullmatch(name)]
         if not away:  # on measured motion: whatever made the rollers move so
             return ()
-        residual = predictor.measured[away] - predictor.predict(self.packed(model)[None])[0, away]
+        residual = Segment(data, predictor).residual(model)[away]
         bend = np.abs(residual[:, 2 * _PUSH :] - 2.0 * residual[:, _PUSH:-_PUSH] + residual[:, : -2 * _PUSH])
         late = np.convolve(~measured, np.ones(_PUSH_AFTER), "full")[: residual.shape[1]] > 0.5
         usual = deviations_of(predictor)[away, None]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from hilbench.arrays import Array, Rows
+from hilbench.arrays import Array, Rows, runs
 from hilbench.plant.sample_coherence import cycles_elapsed, play
 from hilbench.results.recording import Recording
 from hilbench.topology.signal_kinds import TIME
@@ -138,11 +138,8 @@ class OnPlantTime:
         given = np.vstack([self._kept, rows[at[measured]]])
         last_rows = rows[at]
         if self._last_row is not None:
-            last_rows, cycle, at = (
-                np.vstack([self._last_row, last_rows]),
-                np.append(begin - 1, cycle),
-                np.append(-1, at),
-            )
+            last_rows = np.vstack([self._last_row, last_rows])
+            cycle, at = np.append(begin - 1, cycle), np.append(-1, at)
         # The bench's last report, in whichever row.
         held = np.searchsorted(np.maximum.accumulate(cycle), cycles, side="right") - 1
         result, syncs = last_rows[held], first_sync + at[held]
@@ -173,9 +170,8 @@ def _curve(at: Cycles, values: Array) -> Callable[[Cycles], Array]:
 
 def _nearly(measured: Rows) -> Rows:
     """Rows that are measured, or in a gap short enough to be bridged."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~measured, [False]]))).reshape(-1, 2)
     found = measured.copy()
-    for first, end in edges:
+    for first, end in runs(~measured):
         found[first:end] = end - first <= _BRIDGED
     return found
 
@@ -218,19 +214,16 @@ class Window:
 
     def rows(self, first: int, end: int) -> Array:
         """(n, signals): the rows of the cycles from `first` to before `end` that are kept."""
-        kept = [each.rows for each in self._chunks]
-        return (np.concatenate(kept) if kept else np.empty((0, len(self._names))))[self._at(first, end)]
+        kept = (each.rows for each in self._chunks)
+        return np.concatenate([np.empty((0, len(self._names))), *kept])[self._at(first, end)]
 
     def known(self, first: int, end: int) -> Rows:
         """(n,): whether the plant was measured in these cycles, or nearly; what the rows of others say is a guess."""
-        return self._flags([each.known for each in self._chunks], first, end)
+        return np.concatenate([np.empty(0, bool), *(each.known for each in self._chunks)])[self._at(first, end)]
 
     def measured(self, first: int, end: int) -> Rows:
         """(n,): whether the plant was measured in these cycles, by answers that came in time."""
-        return self._flags([each.measured for each in self._chunks], first, end)
-
-    def _flags(self, kept: Sequence[Rows], first: int, end: int) -> Rows:
-        return (np.concatenate(kept) if kept else np.empty(0, bool))[self._at(first, end)]
+        return np.concatenate([np.empty(0, bool), *(each.measured for each in self._chunks)])[self._at(first, end)]
 
     def sync(self, cycle: int) -> int:
         """Number of the last SYNC until a cycle of the plant; for one that is not kept any more, that of the first."""

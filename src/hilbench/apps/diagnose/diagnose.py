@@ -21,6 +21,7 @@ from hilbench.apps.report.chart import BLUE, VERMILLION, Chart, Curve, Mark
 from hilbench.apps.report.page import number, write_page
 from hilbench.apps.report.plots import DrawnAxes, Picture, drawn
 from hilbench.apps.report.reduce import moving_average
+from hilbench.arrays import runs
 from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable, diagnose
 from hilbench.diagnosis.emulated import emulation_beside, emulation_of
@@ -141,8 +142,7 @@ def _residuals(found: Diagnosis) -> Picture:
 
 
 def _held_out(found: Diagnosis) -> list[Mark]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], found.held_out.astype(int), [0]])))
-    return [Mark(float(found.t_s[a]), float(found.t_s[b - 1]), "") for a, b in edges.reshape(-1, 2)]
+    return [Mark(float(found.t_s[a]), float(found.t_s[b - 1]), "") for a, b in runs(found.held_out)]
 
 
 def _profiles(found: Diagnosis) -> Picture:
