@@ -27,7 +27,7 @@ import numpy as np
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
-from hilbench.diagnosis.emulated import emulation_of
+from hilbench.diagnosis.machines import emulation_of
 from hilbench.results.recording import Recording
 from hilbench.results.recording_builder import Recorder
 from hilbench.runs.config import ExperimentConfig, load

@@ -16,7 +16,7 @@ from tests.simulated_recordings import hidden_recording
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
-from hilbench.diagnosis.emulated import emulation_beside, emulation_of
+from hilbench.diagnosis.machines import emulation_beside, emulation_of
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import choice
 from hilbench.plant.effects import find_effect

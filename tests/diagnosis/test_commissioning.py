@@ -11,7 +11,7 @@ from tests.independent_line.line import Line, Loops, effect
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.commissioning import Commissioned, commissioned
-from hilbench.diagnosis.emulated import emulation_of
+from hilbench.diagnosis.machines import emulation_of
 from hilbench.estimation.web_line.config import ModelErrorsConfig
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording, read_recording

@@ -111,7 +111,7 @@ def test_the_noise_of_an_encoder_does_not_make_an_inertia_smaller() -> None:
     for recording in (fine, coarse):
         found = diagnose(recording, axis_model(1e-4), "blind")
         assert value(found, "inertia_mismatch") == pytest.approx(1.0, abs=0.06)
-        corners.append(MotionFilter.for_position(np.asarray(recording["x1_m"]), 0.001).corner_hz)
+        corners.append(MotionFilter.widest(np.asarray(recording["x1_m"]), 0.001).corner_hz)
     assert corners[1] < 0.6 * corners[0]
 
 
@@ -215,7 +215,7 @@ def test_counts_between_the_rows_of_an_even_grid_are_noise_as_well() -> None:
     corners = []
     for t_s in (even, uneven):
         counted = 3e-3 * np.round((0.2 * np.sin(0.7 * t_s) + 0.02 * np.sin(2.3 * t_s)) / 3e-3)
-        corners.append(MotionFilter.for_position(np.interp(even, t_s, counted), 1e-3).corner_hz)
+        corners.append(MotionFilter.widest(np.interp(even, t_s, counted), 1e-3).corner_hz)
     assert corners[1] == pytest.approx(corners[0], rel=0.2)
 
 

@@ -13,7 +13,7 @@ import yaml
 from tests.plant.models import effect, lone_axis, model
 
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, NamedEffect, Unobservable, Value
-from hilbench.diagnosis.emulated import emulation_of
+from hilbench.diagnosis.machines import emulation_of
 from hilbench.diagnosis.next_experiment import LONGEST_S, Reach, duration_s, moves, propose, write_steps
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import effects_of, find_effect

@@ -11,7 +11,7 @@ from tests.tiers import slow
 
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.residual_noise import by_waves
-from hilbench.diagnosis.steady_sine import evenly_with, frequency_of_sine, harmonics
+from hilbench.diagnosis.smooth_motion import evenly_with, frequency_of_sine, harmonics
 from hilbench.plant.effects import find_effect
 
 #: What such a motion tells, and what of it is there in the rig beside a model of 80 % of its inertia.

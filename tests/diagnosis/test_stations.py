@@ -13,8 +13,8 @@ from tests.cli.in_process import hilbench
 from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.diagnosis.emulated import emulation_of
 from hilbench.diagnosis.free_rules import FreeRules
+from hilbench.diagnosis.machines import emulation_of
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.predictor import choice
 from hilbench.diagnosis.proposals import Proposer

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.emulated import emulation_of
+from hilbench.diagnosis.machines import emulation_of
 from hilbench.diagnosis.predictor import deviations_of
 from hilbench.live.machine import Segment
 from hilbench.live.web_line import LiveLine

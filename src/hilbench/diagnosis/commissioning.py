@@ -103,7 +103,12 @@ def commissioned(
     predictor = choice(model, data, emulation).predictor
     space, proposer = Space(model, predictor, data.period_s), Proposer(model, data)
     terms = [term for term in proposer.direct() if term.effect.id in (*MEASURED, *_BESIDE) and has_own(term, model)]
-    terms += [*_loops(model, proposer), *_once_a_turn(proposer)]
+    loops = machines.effect_of(model, _OF_LOOPS)  # each gain by itself
+    gains = [proposer.known(loops, axis, {}) for axis in range(1, model.axis_count + 1)]
+    terms += [replace(gain, part=part) for gain in gains for part in loops.strength]
+    # Once a turn of each motor: stated where no other order is prominent.
+    waves = proposer.waves([1.0]).items()
+    terms += [replace(wave, held=_ORDER) for where, (wave,) in waves if where.effect == "torque_ripple"]
     shares = {
         "torque_scale": 0.01 * errors.torque_scale_pct,
         "inertia_mismatch": 0.01 * errors.inertia_pct,
@@ -118,19 +123,6 @@ def commissioned(
     if ripples := _searched_ripples(found, proposer, believed):
         found = _Fitted.of(space, [*found.terms, *ripples], believed, place)
     return found.stated()
-
-
-def _loops(model: Machine, proposer: Proposer) -> list[Term]:
-    """The gains of the drives' loops, each by itself."""
-    effect = machines.effect_of(model, _OF_LOOPS)
-    gains = [proposer.known(effect, axis, {}) for axis in range(1, model.axis_count + 1)]
-    return [replace(gain, part=part) for gain in gains for part in effect.strength]
-
-
-def _once_a_turn(proposer: Proposer) -> list[Term]:
-    """Ripple once a turn of each motor: stated where no other order is prominent."""
-    waves = proposer.waves([1.0]).items()
-    return [replace(wave, held=_ORDER) for place, (wave,) in waves if place.effect == "torque_ripple"]
 
 
 def _searched_ripples(found: _Fitted, proposer: Proposer, believed: Callable[[Term], float]) -> list[Term]:

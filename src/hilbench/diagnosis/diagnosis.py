@@ -358,8 +358,7 @@ class _Verdict:
             why = f"perhaps near {about_Hz}, which the few frequencies of this motion do not identify"
             unexplained.append(Misfit(names[torques[0]], f"a {term.effect.id}", why, 0.0, 0.0, "always"))
         unknown |= selection.exhausted or better is not None or bool(too_few)
-        if better is not None:  # what pulls at the last roller shows in its torque
-            unexplained = [Misfit(names[torques[-1]], better.name, better.detail, 0.0, 0.0, "always"), *unexplained]
+        unexplained = [*([] if better is None else [better]), *unexplained]
         # Where a right model leaves noise alone what leaves more is right in nothing; elsewhere each effect was judged
         # with the rest as noise.
         certain = [] if unknown and predictor.exact else final.terms
@@ -585,7 +584,11 @@ def _named(model: Machine, terms: list[Term], judged: _Judged, selection: Select
             values[parameter.name] = Value.of(value, interval, parameter.unit)
         tied = [other for other in selection.tied.get(term.key, []) if other != term.place]
         names = [other.beside(term.place) for other in tied]
-        advice = _experiment(model, term.effect, tied[0].effect) if tied else None
+        advice, lookalike = None, term.effect.lookalike
+        if tied and lookalike is not None and tied[0].effect == lookalike.name:
+            advice = lookalike.distinguished_by
+        elif tied:
+            advice = term.effect.distinguished_from(machines.effect_of(model, tied[0].effect))
         evidence = selection.evidence.get(term.key, {})
         result.append(NamedEffect(term.effect.id, term.axis, values, evidence, names, advice, term.section))
     return _joined(terms, result)
@@ -608,13 +611,6 @@ def _joined(terms: list[Term], named: list[NamedEffect]) -> list[NamedEffect]:
                 told_apart_by=first.told_apart_by or effect.told_apart_by,
             )
     return list(joined.values())
-
-
-def _experiment(model: Machine, effect: Effect, other: str) -> str:
-    """Experiment that distinguishes an effect from another, by its id, or from its lookalike."""
-    if effect.lookalike is not None and other == effect.lookalike.name:
-        return effect.lookalike.distinguished_by
-    return effect.distinguished_from(machines.effect_of(model, other))
 
 
 def rounded(value: float) -> float:

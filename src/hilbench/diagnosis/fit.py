@@ -239,8 +239,8 @@ def with_best_time(space: Space, white: Whitening, terms: list[Term], place: int
     squares, scales = search.exactly(tried)
     best = int(np.argmin(squares))
     term, scale = term.moved_to(float(tried[best])), float(scales[best])
-    strength, *shape = term.coordinates()
-    aimed = term.at(np.array([strength * scale, *shape])) if term.allowed(strength * scale) else term
+    strength = scale * term.coordinates()[:1]
+    aimed = term.of_strength(strength) if term.allowed(float(strength[0])) else term
     return [*terms[:place], replace(aimed, aimed=True), *terms[place + 1 :]]
 
 
@@ -276,10 +276,10 @@ def _with_best_strength(
     space: Space, white: Whitening, terms: list[Term], place: int, rows: NDArray[np.bool_]
 ) -> list[Term]:
     term = terms[place]
-    middle, *shape = term.coordinates()
+    middle = float(term.coordinates()[0])
 
     def variant(strength: float) -> list[Term]:
-        return [*terms[:place], term.at(np.array([strength, *shape])), *terms[place + 1 :]]
+        return [*terms[:place], term.of_strength(np.array([strength])), *terms[place + 1 :]]
 
     def square(strength: float) -> float:
         return _Problem.square_of(white, space.residual(variant(strength)), rows)
@@ -289,7 +289,7 @@ def _with_best_strength(
     best = int(np.argmin([_Problem.square_of(white, residual, rows) for residual in residuals]))
     bounds = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _GRID - 1)]))
     found = minimize_scalar(square, bounds=bounds, method="bounded", options={"maxiter": _SEARCH, "xatol": 1e-6})
-    return variant(float(found.x)) if found.fun < square(float(middle)) else terms
+    return variant(float(found.x)) if found.fun < square(middle) else terms
 
 
 def moved_by_doubts(space: Space, white: Whitening, found: Fit) -> Array:

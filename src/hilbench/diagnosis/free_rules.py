@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.fit import TIME_SEARCH, Fit, OnsetResponses, around, fit, sums, with_best_time
-from hilbench.diagnosis.noise import Whitening
-from hilbench.diagnosis.predictor import torques_of
+from hilbench.diagnosis.noise import Whitening, scaling
+from hilbench.diagnosis.predictor import deviations_of, torques_of
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.residual_analysis import exceeds_noise
-from hilbench.diagnosis.selection import Better, CandidateSet, Selection
-from hilbench.diagnosis.space import Space, finest, noise_model
+from hilbench.diagnosis.residual_analysis import Misfit, exceeds_noise
+from hilbench.diagnosis.selection import CandidateSet, Selection
+from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.stretched_problem import StretchedProblem
 from hilbench.diagnosis.terms import RANK, Key, Place, Term, parts
 from hilbench.plant.effect import Effect, Section
@@ -129,6 +129,7 @@ class FreeRules:
 
     def __init__(self, space: Space, proposer: Proposer) -> None:
         self.space, self.proposer, self._every = space, proposer, space.predictor.every
+        self._white = scaling(deviations_of(space.predictor))
 
     @property
     def rows(self) -> NDArray[np.bool_]:
@@ -147,7 +148,7 @@ class FreeRules:
         return Fit(terms, residual, float("nan"), float("nan"), np.empty((0, 0)))
 
     def again(self, current: Fit, white: Whitening) -> Fit:
-        """Fit the same terms again, weighted by the noise as it is seen now.
+        """Fit the same terms again.
 
         What sets in at once is put to the time that is best beside the others; what has grown so fast that it might as
         well have set in at once does.
@@ -170,15 +171,13 @@ class FreeRules:
     def candidates(self, current: Fit, known: CandidateSet | None = None) -> CandidateSet:
         """Candidates at a model, each with its response.
 
-        Searched ones need to know the noise first, which is seen when every direct candidate has had its say; then the
-        noise is seen once more, beside all of them. known: a set at another model (`carried_over`); of its direct
-        candidates those that are far from promising anything keep their responses.
+        known: a set at another model (`carried_over`); of its direct candidates those that are far from promising
+        anything keep their responses.
         """
         space = self.space
         direct = [t for t in self.proposer.direct() if not any(map(t.overlaps, current.terms))]
         responses = self._responses(current, direct, known)
-        own = space.point(current.terms, current.residual).derivatives
-        white = noise_model(space, current.residual, np.concatenate([own, *responses]))
+        own, white = space.point(current.terms, current.residual).derivatives, self._white
         whitened = self.masked(white.apply(current.residual))
         named = dict(zip(space.predictor.names, whitened, strict=True))
         searched = self.proposer.searched(named, current.terms, self._every)
@@ -189,7 +188,6 @@ class FreeRules:
         whole = self._at_whole_orders([searched[k] for k in tuned])
         searched, responses = searched + whole, responses + more
         responses = responses + space.strengths(current.terms, current.residual, whole)
-        white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         return CandidateSet(white, current.residual, own, direct + searched, responses)
 
     def _responses(self, current: Fit, direct: list[Term], known: CandidateSet | None) -> list[Array]:
@@ -413,8 +411,7 @@ class FreeRules:
         for found in fits:
             for other in found.terms:
                 if other.aimed and other.key == term.key and abs(other.time_s - term.time_s) < TIME_SEARCH[0]:
-                    shape = other.coordinates()[other.linear :]
-                    return other.at(np.concatenate([term.coordinates()[: term.linear], shape]))
+                    return other.of_strength(term.coordinates()[: term.linear])
         return term
 
     def _is_confirmed(self, white: Whitening, current: Fit, test: float, found: Fit) -> bool:
@@ -509,20 +506,19 @@ class FreeRules:
         _, theta = problem.left([*mine, *columns])
         at, terms = len(mine), []
         for candidate, group in members:
-            here = candidate.neutral().coordinates()
             if candidate.probe is not None:
                 # Its response was looked at with one strength, and speaks for others near it only.
                 theta[at] = np.clip(theta[at], candidate.probe / _TRUSTED, candidate.probe * _TRUSTED)
-            strength = here[: candidate.linear] + theta[at : at + len(group)]
+            strength = candidate.neutral().coordinates()[: candidate.linear] + theta[at : at + len(group)]
             at += len(group)
             if not candidate.allowed(float(strength[0])):
                 return None
-            terms.append(candidate.at(np.concatenate([strength, here[candidate.linear :]])))
+            terms.append(candidate.of_strength(strength))
         return problem.left_with([], [*mine, *columns], theta), terms
 
     def continued(self, best: Fit, offered: CandidateSet) -> tuple[Fit, CandidateSet, bool]:
-        """Fitted again by the noise as it is seen now; responses hardly change by a term more, and only where they
-        promise something are they simulated anew."""
+        """Fitted again; responses hardly change by a term more, and only where they promise something are they
+        simulated anew."""
         current = self.again(best, offered.whitening) if self.space.settle(best.terms) else best
         offered = self.carried_over(current, offered)
         unseen = self.space.split_again(current.residual)
@@ -571,7 +567,8 @@ class FreeRules:
         """
         tied: dict[Key, list[Place]] = {}
         evidence: dict[Key, dict[str, float]] = {}
-        fine = finest(self.space) or offered.whitening
+        # With a quarter of the tolerances, and on all rows: between good explanations small things decide.
+        fine = scaling(deviations_of(self.space.predictor, 0.25))
         close = fit(self.space, fine, current.terms)
         for k in range(len(current.terms)):
             term = current.terms[k]
@@ -603,7 +600,6 @@ class FreeRules:
                     continue
                 cost = price([*rest, *terms], self.samples) - price(current.terms, self.samples)
                 alike = None if terms in sudden else self._acting_alike(fine, current, k, terms[0], left)
-                # With finer tolerances than the search, and on all rows: between good explanations small things decide.
                 found = fit(self.space, fine, [*rest, alike or terms[0]], worth=close.train + MARGIN - cost)
                 difference = found.train + found.test + cost - close.train - close.test
                 if alike is not None and difference > TIED:
@@ -624,7 +620,7 @@ class FreeRules:
                     tied[term.key].append(terms[0].place)
         return current, tied, evidence
 
-    def _against_forces(self, current: Fit, offered: CandidateSet, tied: dict[Key, list[Place]]) -> Better | None:
+    def _against_forces(self, current: Fit, offered: CandidateSet, tied: dict[Key, list[Place]]) -> Misfit | None:
         """Each sudden term against the step of a force that it may be mistaken for; that where it explains more.
 
         `tied`: gets the force where the two explain as much.
@@ -638,7 +634,9 @@ class FreeRules:
             difference, force_N, time_s = self._as_a_force(current, k, offered.whitening)
             if difference < -_DECISIVE:
                 detail = f"{force_N:.4g} N from t = {time_s:.3f} s on explain it better than {term.effect.id}"
-                return Better(lookalike.name, detail)
+                # What pulls at the last roller shows in its torque.
+                signal = self.space.predictor.names[torques_of(self.space.predictor)[-1]]
+                return Misfit(signal, lookalike.name, detail, 0.0, 0.0, "always")
             if difference < TIED:
                 tied[term.key].append(Place(lookalike.name))
         return None

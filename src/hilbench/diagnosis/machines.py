@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from hilbench.arrays import Array
+from hilbench.errors import UnusableInputError
+from hilbench.exchange.addressing import declared_units
 from hilbench.machine_kinds import machine_part
 from hilbench.plant.effect import Domain, Effect, Section
 from hilbench.plant.effects import STATION_EFFECTS, effects_of, find_effect
@@ -16,6 +20,10 @@ from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.servo_axis import layout as shaft_layout
 from hilbench.plant.servo_axis.emulated_run import ShaftEmulation
 from hilbench.plant.web_line.emulation import Emulation
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.config import load
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Role
 
 #: How a bench emulated a machine with its load motors.
 AnyEmulation = Emulation | ShaftEmulation
@@ -71,7 +79,8 @@ def with_effects(model: AnyMachine, entries: Sequence[EffectEntry]) -> AnyMachin
     """The model with these effects instead of its own, validated. Raises pydantic.ValidationError."""
     data = model.model_dump()
     data["effects"] = [entry.model_dump() for entry in entries]
-    return type(model).model_validate(data)
+    changed: AnyMachine = type(model).model_validate(data)
+    return changed
 
 
 def entry(
@@ -127,3 +136,24 @@ def without_unbalance(parameters: Array) -> Array:
 def Nm_per_acceleration(model: Machine, axis: int) -> float:
     """Torque at the motor that accelerates an axis with what it drives, per m/s² (rad/s² of a rotary machine)."""
     return float(of_kind(model).Nm_per_acceleration(model, axis))
+
+
+def emulation_of(config: BenchConfig) -> AnyEmulation | None:
+    """Emulation used by the bench of this config; None without a load motor. Without EDS files the drives' rounding
+    is unknown."""
+    machine, resolution = config.machine, None
+    parts = enumerate(config.parts_of(Role.AXIS)[: len(config.drives)], 1)
+    with suppress(UnusableInputError):  # a run folder that was brought here from another machine
+        units = [(axis, declared_units(part)) for axis, part in parts]
+        resolution = tuple(each.velocity_rad_s / machine.motor_rad_per_unit(axis) for axis, each in units)
+    found: AnyEmulation | None = machine_part(machine.kind, "diagnosis").emulation(config, resolution)
+    return found
+
+
+def emulation_beside(recording: Path) -> AnyEmulation | None:
+    """Emulation by the config in the run folder that a recording lies in; None if it lies in no run folder.
+
+    Raises UnusableInputError for a config that can't be read.
+    """
+    folder = RunFolder(recording.parent)
+    return emulation_of(load(folder.config)[0]) if folder.config.is_file() else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,8 +21,7 @@ from hilbench.diagnosis.noise import NORMAL_95, floor, rms
 from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.presliding import Presliding, presliding, shortest
 from hilbench.diagnosis.residual_analysis import Condition, of_motion
-from hilbench.diagnosis.smooth_motion import smoothed
-from hilbench.diagnosis.steady_sine import evenly_with, frequency_of_sine, harmonics
+from hilbench.diagnosis.smooth_motion import evenly_with, frequency_of_sine, harmonics, smoothed
 from hilbench.plant.model_file import Machine
 
 #: Speed below which an axis is at rest at least, as a share of its usual highest speed.
@@ -131,35 +129,24 @@ class MotionFilter:
         band_Hz = (_WIDER[0] * self.corner_hz, _WIDER[1] * self.corner_hz)
         return Motion(*smoothed(position, self.period_s, self.whole, band_Hz, 2))
 
-    def acceleration(self, position: Array) -> Array:
-        """Second derivative of a position (n,), per s²."""
-        return np.gradient(np.gradient(self.smooth(position), self.period_s), self.period_s)
+    def differentiated(self, values: Array, order: int) -> Array:
+        """Derivative of values (n,) of an order, smoothed, per s to its power."""
+        found = self.smooth(values)
+        for _ in range(order):
+            found = np.gradient(found, self.period_s)
+        return found
 
     @classmethod
-    def for_position(cls, position: Array, period_s: float) -> MotionFilter:
-        """The widest filter with which the noise of a measured position (n,) hardly shows in the acceleration."""
-        return cls._widest(position_noise(position), period_s, position, cls.acceleration)
-
-    @classmethod
-    def for_speed(cls, speed: Array, period_s: float) -> MotionFilter:
-        """Filter for a measured speed (n,)."""
-        return cls._widest(position_noise(speed), period_s, speed, cls.rate)
-
-    def rate(self, values: Array) -> Array:
-        """First derivative of values (n,), per s."""
-        return np.gradient(self.smooth(values), self.period_s)
-
-    @classmethod
-    def _widest(
-        cls, noise: float, period_s: float, measured: Array, acceleration: Callable[[MotionFilter, Array], Array]
-    ) -> MotionFilter:
-        corner = min(_HIGHEST_HZ, _OF_NYQUIST * 0.5 / period_s)
+    def widest(cls, measured: Array, period_s: float, order: int = 2) -> MotionFilter:
+        """Find the widest filter with which the noise of a measured position (n,), order 2, or a speed, order 1, hardly
+        shows in the acceleration."""
+        noise, corner = position_noise(measured), min(_HIGHEST_HZ, _OF_NYQUIST * 0.5 / period_s)
         impulse = np.zeros(2 * round(2.0 / _LOWEST_HZ / period_s) + 1)
         impulse[len(impulse) // 2] = 1.0
         while True:
             found = cls(corner, period_s)
-            carried = noise**2 * float(np.sum(acceleration(found, impulse) ** 2))
-            if carried <= _NOISE_SHARE * float(np.var(acceleration(found, measured))) or corner <= _LOWEST_HZ:
+            carried = noise**2 * float(np.sum(found.differentiated(impulse, order) ** 2))
+            if carried <= _NOISE_SHARE * float(np.var(found.differentiated(measured, order))) or corner <= _LOWEST_HZ:
                 return found
             corner = max(_FINER * corner, _LOWEST_HZ)
 
@@ -222,7 +209,11 @@ class OnMeasuredMotion(Predictor):
         self.arm = arm
         self.names, self.exact = ("tau1_Nm",), False
         self._period_s = data.period_s
-        band: MotionFilter = _filter_for(data) if wider is None else wider._filter
+        if wider is None:
+            measured, order = _measured_motion(data)
+            band = MotionFilter.widest(measured, data.period_s, order)
+        else:
+            band = wider._filter
         if corner_hz is not None:
             band = replace(band, corner_hz=corner_hz)
         self._filter: MotionFilter = _weighed(band, data, machines.Nm_per_acceleration(model, 1))
@@ -251,9 +242,8 @@ class OnMeasuredMotion(Predictor):
     @cached_property
     def known_to_Hz(self) -> float:
         """Frequency up to which the motion is known well enough to tell an inertia that twists from its noise."""
-        if self._data.integrated:
-            return known_to_Hz(self._data.v_m_s[1], self._period_s, 1)
-        return known_to_Hz(self._data.x_m[1], self._period_s, 2)
+        measured, order = _measured_motion(self._data)
+        return known_to_Hz(measured, self._period_s, order)
 
     @property
     def turns(self) -> float:
@@ -539,23 +529,21 @@ def coupled_motion(model: Machine, data: Measured) -> OnMeasuredMotion | None:
     return OnMeasuredMotion(model, data, None, best.arm, best.corner_hz)
 
 
+def _measured_motion(data: Measured) -> tuple[Array, int]:
+    """Position (n,) or speed of the axis, whichever was measured, and which derivative its acceleration is."""
+    return (data.v_m_s[1], 1) if data.integrated else (data.x_m[1], 2)
+
+
 def _weighed(band: MotionFilter, data: Measured, inertia: float) -> MotionFilter:
     """Filter in which the noise of the acceleration's torque is nowhere louder than what is known of the torque.
 
     inertia: torque per acceleration.
     """
-    power = 1 if data.integrated else 2
-    noise = position_noise(data.v_m_s[1] if data.integrated else data.x_m[1])
+    measured, power = _measured_motion(data)
+    noise = position_noise(measured)
     known_Nm = float(np.hypot(floor(data.tau_Nm[1]), _KNOWN_TORQUE * rms(data.tau_Nm[1])))
     flat_to_Hz = (known_Nm / max(inertia * noise, 1e-300)) ** (1.0 / power) / (2.0 * np.pi)
     return replace(band, flat_to_Hz=flat_to_Hz, power=power)
-
-
-def _filter_for(data: Measured) -> MotionFilter:
-    """Widest filter that the noise of the measured signal allows."""
-    if data.integrated:
-        return MotionFilter.for_speed(data.v_m_s[1], data.period_s)
-    return MotionFilter.for_position(data.x_m[1], data.period_s)
 
 
 def _passing(speed: Array, slow: NDArray[np.bool_], most: int) -> NDArray[np.bool_]:

@@ -237,14 +237,13 @@ def identifiable_on_one_sine(space: Space, terms: list[Term], offered: Candidate
     return [
         term.is_torsional
         or _is_law_of_motion(term)
-        or (own_share(response[..., predictor.rows], known) >= _OWN_SHARE and not _is_of_an_arc(term, predictor))
+        or (
+            own_share(response[..., predictor.rows], known) >= _OWN_SHARE
+            # Over less than a turn a wave is any law of the position.
+            and not (term.has_phase and predictor.turns < 1.0)
+        )
         for term, response in each
     ]
-
-
-def _is_of_an_arc(term: Term, predictor: OnMeasuredMotion) -> bool:
-    """True of a wave over less than a turn: there it is any law of the position."""
-    return term.has_phase and predictor.turns < 1.0
 
 
 def _is_law_of_motion(term: Term) -> bool:

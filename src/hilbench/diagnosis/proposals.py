@@ -13,6 +13,7 @@ from hilbench.arrays import Array
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.noise import rms
+from hilbench.diagnosis.residual_analysis import spectrum_over
 from hilbench.diagnosis.terms import Place, Term
 from hilbench.plant.effect import Domain, Effect, MachineSizes, ProbeOver, Section
 from hilbench.plant.model_file import Machine
@@ -297,16 +298,6 @@ class Proposer:
                 )
         return found
 
-    @staticmethod
-    def _peaks(
-        angle_turns: Array, whitened: dict[str, Array], sharp: list[str], lowest: float, highest: float
-    ) -> tuple[list[float], float]:
-        """The strongest order in the `sharp` signals, then in all."""
-        found, count = peaks(angle_turns, np.array([whitened[name] for name in sharp]), highest, lowest)
-        others, _ = peaks(angle_turns, np.array(list(whitened.values())), highest, lowest)
-        apart = 1.0 / float(np.ptp(angle_turns))
-        return found + [order for order in others[:1] if all(abs(order - known) > apart for known in found)], count
-
     def sudden(self) -> list[Effect]:
         """The effects that set in at once, at a time that is searched for."""
         return [] if self._data.settled else self._over(ProbeOver.ONSET)
@@ -379,8 +370,7 @@ class Proposer:
         middle_s = np.array([term.time_s + 0.5 * term.duration_s])
         (effect,) = (known for known in self.sudden() if known.id == term.effect.at_once)
         found = self.onsets(effect, middle_s, present, term.section)
-        strength = float(term.coordinates()[0])
-        return [sudden.at(np.concatenate([[strength], sudden.coordinates()[1:]])) for sudden in found]
+        return [sudden.of_strength(term.coordinates()[:1]) for sudden in found]
 
     def _slot(
         self, effect: Effect, axis: int | None, present: list[Term], section: Section | None = None
@@ -404,7 +394,11 @@ class Proposer:
         else:
             turns = self._data.x_m[axis][::every] * self._model.motor_rad_per_unit(axis) / _TURN
             lowest, highest, sharp = self._least_order(axis), min(_HIGHEST_ORDER, _followed(turns)), f"tau{axis}_Nm"
-        orders, count = self._peaks(turns, whitened, [name for name in whitened if sharp in name], lowest, highest)
+        # The strongest order in the sharp signals, then in all.
+        orders, count = peaks(turns, np.array([whitened[n] for n in whitened if sharp in n]), highest, lowest)
+        others, _ = peaks(turns, np.array(list(whitened.values())), highest, lowest)
+        apart = 1.0 / float(np.ptp(turns))
+        orders += [order for order in others[:1] if all(abs(order - known) > apart for known in orders)]
         return [self._term(effect, axis, {effect.probe.parameter: order}, slot, count) for order in orders]
 
     def _highest_Hz(self) -> float:
@@ -428,19 +422,10 @@ def _followed(angle_turns: Array) -> float:
 def peaks(angle_turns: Array, whitened: Array, highest: float, lowest: float = 0.0) -> tuple[list[float], float]:
     """The strongest orders of residuals over an angle (or time), in cycles a turn, and how many were looked at.
 
-    None is below `lowest`, and none has less than some periods within the angle.
-
-    Residuals (signals, n) are summed in bins of the angle, whose Fourier transform is their correlation with every
-    order at once; powers of the signals add.
+    None is below `lowest`, and none has less than some periods within the angle. Residuals: (signals, n).
     """
-    start, total = float(angle_turns.min()), float(np.ptp(angle_turns))
-    bins = 1 << int(np.ceil(np.log2(max(4.0 * highest * total, 16.0))))
-    place = np.minimum(((angle_turns - start) / total * bins).astype(int), bins - 1)
-    power = np.zeros(bins // 2 + 1)
-    for values in whitened:
-        power += np.abs(np.fft.rfft(np.bincount(place, weights=values, minlength=bins))) ** 2
-    order = np.arange(len(power)) / total
-    power[(order < max(lowest, _LEAST_CYCLES / total)) | (order > highest)] = 0.0
+    order, power = spectrum_over(angle_turns, whitened, highest)
+    power[(order < max(lowest, _LEAST_CYCLES / float(np.ptp(angle_turns)))) | (order > highest)] = 0.0
     count = float(np.count_nonzero(power))
     found = []
     for _ in range(_PEAKS):

@@ -191,10 +191,8 @@ def _peak(name: str, values: Array, rows: NDArray[np.bool_], condition: Conditio
     at, r = condition.values[rows] / period, values[rows]
     start, total = float(at.min()), float(np.ptp(at))
     highest = min(_HIGHEST, 0.4 * len(r) / max(total, 1e-9))
-    bins = 1 << int(np.ceil(np.log2(max(4.0 * highest * total, 16.0))))
-    place = np.minimum(((at - start) / max(total, 1e-9) * bins).astype(int), bins - 1)
-    power = 2.0 * np.abs(np.fft.rfft(np.bincount(place, weights=r, minlength=bins))) ** 2 / len(r)
-    order = np.arange(len(power)) / max(total, 1e-9)
+    order, power = spectrum_over(at, r[None], highest)
+    power = 2.0 * power / len(r)
     least = _LEAST_CYCLES / max(total, 1e-9) if condition.period is None else _LEAST_ORDER
     power[(order < max(least, _LEAST_CYCLES / max(total, 1e-9))) | (order > highest)] = 0.0
     count = max(float(np.count_nonzero(power)), 2.0)
@@ -205,6 +203,21 @@ def _peak(name: str, values: Array, rows: NDArray[np.bool_], condition: Conditio
     shape = np.zeros(len(values))
     shape[rows] = 2.0 * np.real(wave * np.mean(r * np.conj(wave)))
     return Misfit(name, label, what, float(power[best]), 2.0 * float(np.log(count)) + _PEAK, "always", shape=shape)
+
+
+def spectrum_over(at: Array, values: Array, highest: float) -> tuple[Array, Array]:
+    """Orders up to beyond the highest, in cycles of the unit of an angle or time (n,), and the power of values
+    (signals, n) at each; powers of the signals add.
+
+    Values are summed in bins of the angle, whose Fourier transform is their correlation with every order at once.
+    """
+    total = max(float(np.ptp(at)), 1e-9)
+    bins = 1 << int(np.ceil(np.log2(max(4.0 * highest * total, 16.0))))
+    place = np.minimum(((at - float(at.min())) / total * bins).astype(int), bins - 1)
+    power = np.zeros(bins // 2 + 1)
+    for each in values:
+        power += np.abs(np.fft.rfft(np.bincount(place, weights=each, minlength=bins))) ** 2
+    return np.arange(len(power)) / total, power
 
 
 def _burst(name: str, values: Array, rows: NDArray[np.bool_], time: Condition) -> Misfit:

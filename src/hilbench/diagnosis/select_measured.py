@@ -69,7 +69,7 @@ _CHANGING: Final = 0.5
 #: Additions that are fitted in full at a step.
 _CONTENDERS: Final = 6
 #: Orders or frequencies from a present one up to which others are its side bands; how many of them on either side.
-NEAR: Final = 0.5
+_NEAR: Final = 0.5
 _MOST_SIDE_BANDS: Final = 20.0
 
 
@@ -88,8 +88,8 @@ class SideBands:
             if name is None:
                 continue
             turns = float(np.ptp(angle)) / (2.0 * np.pi)
-            step = max(0.5 / turns, NEAR / _MOST_SIDE_BANDS)
-            offsets = step * np.arange(-int(NEAR / step), int(NEAR / step) + 1)
+            step = max(0.5 / turns, _NEAR / _MOST_SIDE_BANDS)
+            offsets = step * np.arange(-int(_NEAR / step), int(_NEAR / step) + 1)
             waves = np.exp(1j * np.outer(term.values[name] + offsets, angle))
             both = np.concatenate([waves.real, waves.imag])
             columns.append(both)
@@ -121,23 +121,6 @@ class SideBands:
             return residual
         along = np.tensordot(self._spanning[..., self._rows], residual[..., self._rows], 2)
         return np.asarray(residual - np.tensordot(along, self._spanning, 1))
-
-
-def is_near_present(space: Space, proposer: Proposer, term: Term, current: Fit) -> bool:
-    """True if a wave's order is one that is there, or within its side bands."""
-    if not term.has_phase:
-        return False
-    order = order_of(space, proposer, term)
-    waves = (other for other in current.terms if other.has_phase)
-    return any(abs(order_of(space, proposer, other) - order) < NEAR for other in waves)
-
-
-def order_of(space: Space, proposer: Proposer, wave: Term) -> float:
-    """Times a turn of the motor; once a turn of what it drives where the law has no order."""
-    name, _ = proposer.searched_angle_rad(wave, space.predictor.every)
-    if name is not None:
-        return wave.values[name]
-    return 1.0 if wave.axis is None else 1.0 / space.model.gear_ratio(wave.axis)
 
 
 class MeasuredRules:
@@ -266,13 +249,17 @@ class MeasuredRules:
             for term, response in zip(terms, responses, strict=True):
                 masked = np.where(self.rows, apply(response), 0.0)
                 found.append(self.proposer.tuned(term, left, masked, self.space.predictor.every)[0])
-        found = [term for term in found if not is_near_present(self.space, self.proposer, term, current)]
+        there = [self.order(term) for term in current.terms if term.has_phase]  # a wave near one is its side band
+        found = [t for t in found if not (t.has_phase and any(abs(one - self.order(t)) < _NEAR for one in there))]
         found += [plain for term in found for plain in self.proposer.plainer(term, current.terms)]
         return found + [whole for term in found for whole in self.proposer.at_whole_orders(term)]
 
     def order(self, wave: Term) -> float:
-        """Times a turn of the motor."""
-        return order_of(self.space, self.proposer, wave)
+        """Times a turn of the motor; once a turn of what it drives where the law has no order."""
+        name, _ = self.proposer.searched_angle_rad(wave, self.space.predictor.every)
+        if name is not None:
+            return wave.values[name]
+        return 1.0 if wave.axis is None else 1.0 / self.space.model.gear_ratio(wave.axis)
 
     def _linear(
         self, residual: Array, own: Array, offered: CandidateSet, beside: SideBands | None = None
@@ -345,10 +332,7 @@ class MeasuredRules:
         """
         if not wave.has_phase or RANK[other.effect.id] >= RANK[wave.effect.id]:
             return False
-        return (
-            abs(order_of(self.space, self.proposer, other) - order_of(self.space, self.proposer, wave)) < NEAR
-            and gain >= WHOLE * its
-        )
+        return abs(self.order(other) - self.order(wave)) < _NEAR and gain >= WHOLE * its
 
     @staticmethod
     def _started(problem: StretchedProblem, mine: list[int], term: Term, group: list[int]) -> tuple[float, Term] | None:
@@ -357,22 +341,14 @@ class MeasuredRules:
         if min(problem.own_share(column, mine) for column in group) < _OWN_SHARE:
             return None
         left, theta = problem.left([*mine, *group])
-        here = term.neutral().coordinates()
-        strength = here[: term.linear] + theta[len(mine) :]
+        strength = term.neutral().coordinates()[: term.linear] + theta[len(mine) :]
+        started = term.of_strength(strength)
         if not term.allowed(float(strength[0])):
             # A bound is as far as it goes: what it explains there counts.
-            bounded = term.at(np.concatenate([strength, here[term.linear :]])).coordinates()[: term.linear]
-            if not np.any(bounded - here[: term.linear]):
+            if not np.any(started.moved):
                 return None
-            left, strength = problem.left_with(mine, group, bounded - here[: term.linear]), bounded
-        return left, term.at(np.concatenate([strength, here[term.linear :]]))
-
-    @staticmethod
-    def _left_whatever_its_sign(problem: StretchedProblem, mine: list[int], group: list[int]) -> float:
-        """Residual sum with a candidate even if no bound allows its sign; infinite where it is collinear."""
-        if min(problem.own_share(column, mine) for column in group) < _OWN_SHARE:
-            return float("inf")
-        return problem.left([*mine, *group])[0]
+            left = problem.left_with(mine, group, started.moved)
+        return left, started
 
     def _chances(self, found: Fit, known: Uncertainty | None = None) -> list[float]:
         """Probability for each term that it is neutral and was found by chance; known: by default with the residual
@@ -432,8 +408,10 @@ class MeasuredRules:
                 if term.effect.removable or other.effect.removable:
                     started = self._started(without, mine, other, group)
                     left = float("inf") if started is None else started[0]
+                elif min(without.own_share(column, mine) for column in group) < _OWN_SHARE:
+                    continue
                 else:  # more of it may be fed forward than there is: its sign has no meaning
-                    left = self._left_whatever_its_sign(without, mine, group)
+                    left = without.left([*mine, *group])[0]
                 if left < (1.0 + TIED) * here:
                     tied[term.key].append(other.place)
             tied[term.key] += self._alike(current, term, here, offered, {*wandering, *tied[term.key]})

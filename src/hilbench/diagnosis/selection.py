@@ -10,6 +10,7 @@ import numpy as np
 from hilbench.arrays import Array
 from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.noise import Whitening
+from hilbench.diagnosis.residual_analysis import Misfit
 from hilbench.diagnosis.terms import Key, Place, Term
 
 
@@ -30,14 +31,6 @@ class CandidateSet:
         return list(zip(self.candidates, columns, strict=True))
 
 
-@dataclass(frozen=True)
-class Better:
-    """An explanation outside the vocabulary that is better than a term."""
-
-    name: str
-    detail: str  #: size and time, for a person
-
-
 @dataclass
 class Selection:
     """The chosen terms, fitted; with which others each is tied; the candidates that were there at the end."""
@@ -48,6 +41,6 @@ class Selection:
     tied: dict[Key, list[Place]] = field(default_factory=dict)
     evidence: dict[Key, dict[str, float]] = field(default_factory=dict)
     exhausted: bool = False  #: more terms would explain more than may be named
-    better: Better | None = None
+    better: Misfit | None = None  #: an explanation outside the vocabulary that is better than a term
     unidentifiable: list[Term] = field(default_factory=list)  #: not distinguishable from others by the motion
     of_too_few: list[Term] = field(default_factory=list)  #: that explain, by too few frequencies to be named

@@ -1,12 +1,13 @@
 """Motion from sampled, noisy measurements: position, speed and acceleration without what is above a band.
 
 Everything is done to the spectrum, where differentiation is exact up to the end of the band, whatever the sampling
-period, and a finer grid costs nothing.
+period, and a finer grid costs nothing. And whether a motion is one steady sine.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -15,6 +16,12 @@ from hilbench.arrays import Array
 #: Length of a root-raised-cosine filter to either side, in rows that it leaves, and its roll-off.
 _HALF_LENGTH = 10
 ROLL_OFF = 0.2
+#: Share of the speed's square that a sine has to explain; of a triangle the best one explains 0.986.
+_PURE: Final = 0.995
+#: Finer than the lines of the spectrum by, and tries between two of these.
+_FINER, _BETWEEN = 8, 9
+#: Waves over a stroke that a torque that goes with the position consists of.
+_WAVES: Final = 5
 
 
 def smoothed(values: Array, period_s: float, whole: int, band_Hz: tuple[float, float], order: int) -> list[Array]:
@@ -56,12 +63,6 @@ def _passed(frequency: Array, band_Hz: tuple[float, float]) -> Array:
     low, high = band_Hz
     share = np.clip((frequency - low) / max(high - low, 1e-9), 0.0, 1.0)
     return np.asarray(np.cos(0.5 * np.pi * share) ** 2)
-
-
-def integrated(values: Array, period_s: float) -> Array:
-    """(n,) from 0, by the trapezoidal rule."""
-    steps = 0.5 * period_s * (values[1:] + values[:-1])
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 @dataclass(frozen=True)
@@ -127,3 +128,40 @@ class Thinning:
             out += blocks[..., k : k + count, :] @ taps[k * down : (k + 1) * down]
         out += taps[-1] * padded[..., 2 * half :: down][..., :count]
         return out
+
+
+def frequency_of_sine(speed: Array, period_s: float) -> float | None:
+    """Frequency of a speed (n,), at this row period, that is one sine about standstill, Hz; None of any other."""
+    n = len(speed)
+    t_s = np.linspace(0.0, period_s * (n - 1), n)
+    spectrum = np.abs(np.fft.rfft(speed * np.hanning(n), _FINER * n))
+    step_Hz = 1.0 / (_FINER * n * period_s)
+    peak = int(np.argmax(spectrum))
+    if peak < 2 * _FINER:  # the window alone is as wide: a speed that hardly changes
+        return None
+    tried = [step_Hz * (peak + part / _BETWEEN) for part in range(-_BETWEEN, _BETWEEN + 1)]
+    left = [_left_by_a_sine(speed, t_s, frequency_Hz) for frequency_Hz in tried]
+    if min(left) >= (1.0 - _PURE) * float(np.sum(speed**2)):
+        return None
+    return tried[int(np.argmin(left))]
+
+
+def _left_by_a_sine(values: Array, t_s: Array, frequency_Hz: float) -> float:
+    """Sum of squares of values (n,) that a sine of this frequency leaves."""
+    columns: Array = np.exp(2j * np.pi * frequency_Hz * t_s).view(np.float64).reshape(-1, 2)
+    theta, *_ = np.linalg.lstsq(columns, values, rcond=None)
+    return float(np.sum((values - columns @ theta) ** 2))
+
+
+def evenly_with(position: Array) -> Array:
+    """(waves, n): what goes with a position (n,) that oscillates about its middle, and is the same on both sides of it;
+    what is not the same goes with the acceleration, as an inertia does, or changes its sign as friction does."""
+    low, high = float(np.min(position)), float(np.max(position))
+    angle = np.arccos(np.clip((2.0 * position - low - high) / max(high - low, 1e-300), -1.0, 1.0))
+    return np.asarray(np.cos(2.0 * np.outer(np.arange(_WAVES), angle)))
+
+
+def harmonics(frequency_Hz: float, highest_Hz: float, t_s: Array) -> Array:
+    """(1 + 2·H, n): all that repeats itself so often, up to a frequency, at times (n,)."""
+    turned = 2.0 * np.pi * np.outer(frequency_Hz * np.arange(1, int(highest_Hz / frequency_Hz) + 1), t_s)
+    return np.concatenate([np.ones((1, len(t_s))), np.cos(turned), np.sin(turned)])

@@ -190,8 +190,6 @@ class Space:
 
         What is larger elsewhere may have hidden, when the blocks were chosen, that they hold out all of another effect.
         """
-        if not self.predictor.exact:
-            return False
         excess = _excess(scaling(deviations_of(self.predictor)).apply(residual), self.predictor.rows)
         if _unseen(excess, self.split) < _MOST_HELD_OUT:
             return False
@@ -261,14 +259,10 @@ class Space:
         steps: list[float] = []
         free = [not (timeless and term.stays_at(name)) for term in terms for name in term.free()]
         for place, term in enumerate(terms):
-            here = term.coordinates()
             for k, (step, name) in enumerate(zip(term.steps(), term.free(), strict=True)):
-                if timeless and term.stays_at(name):
-                    continue
-                moved = here.copy()
-                moved[k] += step
-                variants.append([*terms[:place], term.at(moved), *terms[place + 1 :]])
-                steps.append(step)
+                if not (timeless and term.stays_at(name)):
+                    variants.append([*terms[:place], term.stepped(k, step), *terms[place + 1 :]])
+                    steps.append(step)
         if residual is None:
             variants.append(terms)
         found = self.residuals(variants) if variants else np.empty((0, *self.predictor.measured.shape))
@@ -283,21 +277,9 @@ class Space:
 
         `residual` is the one of that model.
         """
-        variants = []
-        for candidate in candidates:
-            neutral = candidate.neutral().coordinates()
-            for k, probe in enumerate(candidate.probes()):
-                moved = neutral.copy()
-                moved[k] += probe
-                variants.append([*terms, candidate.at(moved)])
-        found = iter(self.residuals(variants))
+        looked_at = [(one.neutral(), k, probe) for one in candidates for k, probe in enumerate(one.probes())]
+        found = iter(self.residuals([[*terms, neutral.stepped(k, probe)] for neutral, k, probe in looked_at]))
         return [np.array([(residual - next(found)) / probe for probe in one.probes()]) for one in candidates]
-
-
-def finest(space: Space) -> Whitening | None:
-    """Whitening with a quarter of the tolerances, to choose between good explanations; None where nothing is
-    tolerated."""
-    return scaling(deviations_of(space.predictor, 0.25)) if space.predictor.exact else None
 
 
 def noise_model(space: Space, residual: Array, columns: Array) -> Whitening:

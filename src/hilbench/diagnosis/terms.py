@@ -195,6 +195,16 @@ class Term:
             values[p.name] = min(max(values[p.name], p.lower, self.least.get(p.name, p.lower)), p.upper)
         return replace(self, values=values)
 
+    def stepped(self, coordinate: int, step: float) -> Term:
+        """Term with one of its coordinates larger by a step."""
+        moved = self.coordinates()
+        moved[coordinate] += step
+        return self.at(moved)
+
+    def of_strength(self, strength: Array) -> Term:
+        """Term of the same shape with another strength, or its two components."""
+        return self.at(np.concatenate([strength, self.coordinates()[self.linear :]]))
+
     def neutral(self) -> Term:
         """Term with the strength that the diagnosed model has, the shape unchanged."""
         values = dict(self.values)

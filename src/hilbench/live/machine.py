@@ -53,9 +53,9 @@ class LiveMachine(ABC, Generic[AnyMachine]):
     def gap(self, model: AnyMachine) -> Gap:
         """Residual generator of one model."""
 
-    @abstractmethod
     def estimate_of(self, model: AnyMachine) -> Array:
         """(M,) as the model has it."""
+        return self.estimate_at(model, 0.0)
 
     @abstractmethod
     def with_estimate(self, model: AnyMachine, estimate: Array) -> AnyMachine:

@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 
 from hilbench.arrays import Array, Rows
-from hilbench.diagnosis.emulated import emulation_of
-from hilbench.diagnosis.machines import AnyEmulation
+from hilbench.diagnosis.machines import AnyEmulation, emulation_of
 from hilbench.diagnosis.measured import Measured
 from hilbench.live.machine import SHORT, LiveMachine, Segment
 from hilbench.live.window import Window
@@ -59,10 +58,6 @@ class LiveShaft(LiveMachine[ServoAxisParameters]):
     def gap(self, model: ServoAxisParameters) -> ShaftGap:
         """Residual generator of one model."""
         return ShaftGap(model, self.cycle_s)
-
-    def estimate_of(self, model: ServoAxisParameters) -> Array:
-        """Inertia (1,) as the model has it, kg·m²."""
-        return self.estimate_at(model, 0.0)
 
     def with_estimate(self, model: ServoAxisParameters, estimate: Array) -> ServoAxisParameters:
         """The model with another inertia (1,), its effects included: the shaft has what exceeds the motor's rotor."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class Piece:
     cycle: int
     level: Array
     rest: Array
-    parts: bool = False
+    parts: bool
 
     @property
     def size(self) -> Array:
@@ -90,11 +90,9 @@ class Watch:
             return None
         level = np.median(values, axis=0)
         rest = 1.4826 * np.median(np.abs(values - level), axis=0)
-        piece = Piece(last_cycle, level, rest)
-        white = (
-            np.array([floor(channels[f"tau{k}_Nm"][known]) for k in range(1, len(level) + 1)]) * _MORE / np.sqrt(SHORT)
-        )
-        piece = replace(piece, parts=self._parts(piece, len(values), white))
+        noise_Nm = np.array([floor(channels[f"tau{k}_Nm"][known]) for k in range(1, len(level) + 1)])
+        parts = self._parts(level, rest, len(values), noise_Nm * _MORE / np.sqrt(SHORT))
+        piece = Piece(last_cycle, level, rest, parts)
         if piece.parts:
             self.begun_cycle = self.begun_cycle if self.in_a_row else last_cycle + 1 - cycles
             self.in_a_row += 1
@@ -103,12 +101,12 @@ class Watch:
             self._rests.append(rest)
         return piece
 
-    def _parts(self, piece: Piece, means: int, white: Array) -> bool:
+    def _parts(self, level: Array, rest: Array, means: int, white: Array) -> bool:
         """`white` (N,): what the noise of the torques alone makes of the rest."""
         learned = self.noise_Nm
         noise = white if learned is None else learned
         if len(self._rests) < _KNOWN:
             noise = np.maximum(noise, white)
         of_level = _LEVELS * 1.25 * noise / np.sqrt(means)
-        off = np.abs(piece.level) > np.maximum(of_level, _TOLERATED * self._machine.usual_Nm)
-        return bool(np.any(off | (piece.rest > _ROUGHER * noise)))
+        off = np.abs(level) > np.maximum(of_level, _TOLERATED * self._machine.usual_Nm)
+        return bool(np.any(off | (rest > _ROUGHER * noise)))

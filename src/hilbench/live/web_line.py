@@ -12,8 +12,7 @@ import numpy as np
 from hilbench.arrays import Array, Rows
 from hilbench.compiled import record_at
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.emulated import emulation_of
-from hilbench.diagnosis.machines import AnyEmulation
+from hilbench.diagnosis.machines import AnyEmulation, emulation_of
 from hilbench.diagnosis.measured import Before, Measured
 from hilbench.diagnosis.predictor import choice, deviations_of
 from hilbench.diagnosis.web_line.free_run import remembered_m

@@ -79,7 +79,7 @@ def commission(
     from hilbench.apps.history.entries import keep_commissioning
     from hilbench.bench.lifecycle.participants import Participants
     from hilbench.diagnosis.commissioning import commissioned
-    from hilbench.diagnosis.emulated import emulation_of
+    from hilbench.diagnosis.machines import emulation_of
     from hilbench.diagnosis.web_line_bench_gap import completed
     from hilbench.results.recording import read_recording
     from hilbench.results.run import run_experiment

@@ -24,8 +24,7 @@ from hilbench.apps.report.reduce import moving_average
 from hilbench.arrays import runs
 from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable, diagnose
-from hilbench.diagnosis.emulated import emulation_beside, emulation_of
-from hilbench.diagnosis.machines import AnyEmulation
+from hilbench.diagnosis.machines import AnyEmulation, emulation_beside, emulation_of
 from hilbench.diagnosis.next_experiment import NextExperiment, Step, proposed, write_steps
 from hilbench.diagnosis.web_line_bench_gap import LiveGap, live_gap, run_bench
 from hilbench.errors import BenchFaultError, UnusableInputError

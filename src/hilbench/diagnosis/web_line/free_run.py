@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from itertools import pairwise
 from typing import Final
@@ -78,11 +78,8 @@ class FreeRun(Predictor):
         self._boundary, self._forces_N = data.boundary, data.forces_N
         self._period_s = data.period_s
         self._commands = [data.commands_m_s if emulation is None else emulation.as_taken(data.commands_m_s)]
-        rows: list[Array] = []
-        names: list[str] = []
-        for axis in sorted(data.tau_Nm):
-            names.append(f"tau{axis}_Nm")
-            rows.append(data.tau_Nm[axis])
+        self._torques = sorted(data.tau_Nm)
+        names = [f"tau{axis}_Nm" for axis in self._torques]
         axes = range(1, model.axis_count + 1)
         self._all = set(axes) <= set(data.x_m)
         self._positions = sorted(data.x_m)
@@ -95,19 +92,14 @@ class FreeRun(Predictor):
         self._window = max(3, round(_WINDOW_S / data.period_s))
         self._weight = self.rows.astype(np.float64)
         self._mean_weight = np.maximum(self._mean(self._weight), 1.0 / self._window)
-        rows += self._position_rows(data.x_m)
-        speeds = [axis for axis in data.v_m_s if axis not in data.x_m]
-        self._speeds = speeds
-        names += [f"v{axis}_m_s" for axis in speeds]
-        rows += [data.v_m_s[axis] for axis in speeds]
-        self._tensions = sorted(data.F_N)
+        self._speeds = [axis for axis in data.v_m_s if axis not in data.x_m]
+        self._tensions, self._sensors = sorted(data.F_N), sorted(data.sensors_m)
+        names += [f"v{axis}_m_s" for axis in self._speeds]
         names += tension_names(data.F_N)
-        rows += [data.F_N[span] for span in self._tensions]
-        self._sensors = sorted(data.sensors_m)
         names += [data.sensors_m[name].channel for name in self._sensors]
-        rows += [data.sensors_m[name].measured_m for name in self._sensors]
-        self._torques = sorted(data.tau_Nm)
-        self.names, self.measured = tuple(names), np.array(rows)
+        sensors_m = [data.sensors_m[name].measured_m for name in self._sensors]
+        self.names = tuple(names)
+        self.measured = np.array(self._of_signals(data.tau_Nm, data.x_m, data.v_m_s, data.F_N, sensors_m))
         unrounded = emulation is not None and emulation.resolution_m_s is None
         believed = _UNROUNDED_TOLERANCE if unrounded else _TOLERANCE
         self.tolerances = np.array([believed * self._stretch_m(name) for name in names])
@@ -237,50 +229,58 @@ class FreeRun(Predictor):
         key = tuple(np.round(creep / _CREEP_STEP).astype(int).tolist())
         if key not in self._slow:
             begun = self._pulled if self._before is not None else []
-            changed = [self._begun_with(_A_TORQUE_NM, axis, parameters) for axis in begun]
-            changed += [self._moved_on_at(row, axis, parameters) for row in self._pushed for axis in self._pulled]
-            modes = np.array(changed) - self._predicted(parameters[None])
+            others = [self._begun_with(_A_TORQUE_NM, axis) for axis in begun]
+            others += [self._moved_on_at(row, axis) for row in self._pushed for axis in self._pulled]
+            modes = np.array([one._predicted(parameters[None])[0] for one in [*others, self]])
+            modes = modes[:-1] - modes[-1]
             floors = np.array([self.floor(k) for k in range(len(self.names))])
             weighted = np.where(self.rows, modes, 0.0) / np.hypot(floors, self.tolerances)[:, None] ** 2
             gram = np.tensordot(weighted, modes, ([1, 2], [1, 2]))
             self._slow[key] = modes, np.tensordot(np.linalg.pinv(gram, hermitian=True), weighted, 1)
         return self._slow[key]
 
-    def _begun_with(self, more_Nm: float, axis: int, parameters: Array) -> Array:
-        """(signals, n): with another integral of the loop of an axis at the start."""
-        self._more_Nm[axis - 1] = more_Nm
-        try:
-            return np.asarray(self._predicted(parameters[None])[0])
-        finally:
-            self._more_Nm[axis - 1] = 0.0
+    def _begun_with(self, more_Nm: float, axis: int) -> FreeRun:
+        """Free run with another integral of the loop of an axis at the start."""
+        other = copy(self)
+        other._more_Nm = self._more_Nm.copy()
+        other._more_Nm[axis - 1] = more_Nm
+        return other
 
-    def _moved_on_at(self, row: int, axis: int, parameters: Array) -> Array:
-        """(signals, n): an axis commanded to be somewhat further from a row on, by which its integral differs."""
-        commands = self._commands
-        self._commands = [commands[0].copy(), *commands[1:]]
-        self._commands[0][row, axis - 1] += _SHORT_TRAVEL_M / self._period_s
-        try:
-            return np.asarray(self._predicted(parameters[None])[0])
-        finally:
-            self._commands = commands
+    def _moved_on_at(self, row: int, axis: int) -> FreeRun:
+        """Free run of an axis commanded to be somewhat further from a row on, by which its integral differs."""
+        other = copy(self)
+        other._commands = [self._commands[0].copy(), *self._commands[1:]]
+        other._commands[0][row, axis - 1] += _SHORT_TRAVEL_M / self._period_s
+        return other
 
     def _predicted(self, parameters: Array) -> Array:
         run = self._run(np.atleast_2d(parameters))
-        tau, x, v = run.tau_Nm, run.x_m, run.v_m_s
-        rows = [tau[..., axis - 1] for axis in self._torques]
-        rows += self._position_rows({axis: x[..., axis - 1] for axis in self._positions})
-        rows += [v[..., axis - 1] for axis in self._speeds]
-        rows += [run.F_N[..., span - 1] for span in self._tensions]
-        if run.sensors_m is not None:
-            rows += list(np.moveaxis(run.sensors_m, -1, 0))
-        return np.stack(rows, axis=1)
+        by_number = (dict(enumerate(np.moveaxis(each, -1, 0), 1)) for each in (run.tau_Nm, run.x_m, run.v_m_s, run.F_N))
+        sensors_m = () if run.sensors_m is None else np.moveaxis(run.sensors_m, -1, 0)
+        return np.stack(self._of_signals(*by_number, sensors_m), axis=1)
 
-    def _position_rows(self, x_m: dict[int, Array]) -> list[Array]:
-        """Without what is slow in them: an encoder's zero, a quantized speed, add up without end."""
-        rows = [x_m[axis] for axis in self._positions]
+    def _of_signals(
+        self,
+        tau_Nm: Mapping[int, Array],
+        x_m: Mapping[int, Array],
+        v_m_s: Mapping[int, Array],
+        F_N: Mapping[int, Array],
+        sensors_m: Iterable[Array],
+    ) -> list[Array]:
+        """What is compared, in the order of the names, from what axes, spans and sensors have.
+
+        Positions without what is slow in them: an encoder's zero, a quantized speed, add up without end.
+        """
+        x = [x_m[axis] for axis in self._positions]
         if self._all:
-            rows = [*(a - b for a, b in pairwise(rows)), sum(rows[1:], rows[0]) / len(rows)]
-        return [row - self._mean(row * self._weight) / self._mean_weight for row in rows]
+            x = [*(a - b for a, b in pairwise(x)), sum(x[1:], x[0]) / len(x)]
+        return [
+            *(tau_Nm[axis] for axis in self._torques),
+            *(each - self._mean(each * self._weight) / self._mean_weight for each in x),
+            *(v_m_s[axis] for axis in self._speeds),
+            *(F_N[span] for span in self._tensions),
+            *sensors_m,
+        ]
 
     def _mean(self, row: Array) -> Array:
         return np.asarray(uniform_filter1d(row, self._window, mode="constant"))

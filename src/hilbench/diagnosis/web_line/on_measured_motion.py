@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from hilbench.arrays import Array
 from hilbench.diagnosis.loop_check import DriveRecord, Loop, loop_of
@@ -22,7 +23,7 @@ from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.residual_analysis import Condition, of_motion
-from hilbench.diagnosis.smooth_motion import Thinning, integrated, low_passed, smoothed
+from hilbench.diagnosis.smooth_motion import Thinning, low_passed, smoothed
 from hilbench.diagnosis.web_line.free_run import of_line, remembered_m
 from hilbench.diagnosis.web_tensions import tension_names
 from hilbench.plant.parameters import per_item
@@ -112,7 +113,7 @@ class LineOnMeasuredMotion(Predictor):
         reach = round(reach_s / self._fine_s)
         slow = np.min(np.abs(self._v), axis=1) < STANDSTILL_M_S
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
-        travel = np.abs(integrated(np.abs(self._v[:, -1]), self._fine_s))
+        travel = cumulative_trapezoid(np.abs(self._v[:, -1]), dx=self._fine_s, initial=0)
         forgotten = remembered_m(self._model, _TRANSPORTS)
         if travel[-1] > 5.0 * forgotten:
             near |= travel < forgotten
@@ -361,7 +362,10 @@ def _motion(
     band_Hz, apart_Hz = bands_Hz
     axes = sorted({*data.x_m, *data.v_m_s})
     travel = {
-        axis: data.x_m[axis] if axis in data.x_m else integrated(data.v_m_s[axis], data.period_s) for axis in axes
+        axis: data.x_m[axis]
+        if axis in data.x_m
+        else cumulative_trapezoid(data.v_m_s[axis], dx=data.period_s, initial=0)
+        for axis in axes
     }
     mean = _mean_of(travel)
     x, v, a = smoothed(mean, data.period_s, whole, band_Hz, 2)
