@@ -181,7 +181,7 @@ def examined(case: Recorded) -> Diagnosis:
     none = np.empty((0, *residual.shape))
     white = noise_model(space, residual, none)
     offered = CandidateSet(white, residual, none, [], [])
-    selection = Selection(fit(space, white, terms), offered, float(np.count_nonzero(space.split.train)))
+    selection = Selection(fit(space, white, terms), offered)
     return concluded(Explained(space, chosen, data, selection))
 
 

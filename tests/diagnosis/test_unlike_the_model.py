@@ -223,7 +223,7 @@ def known(hidden: Sequence[Mapping[str, Any]], seed: int, **line: Any) -> Diagno
     none = np.empty((0, *residual.shape))
     white = noise_model(space, residual, none)
     offered = CandidateSet(white, residual, none, [], [])
-    selection = Selection(fit(space, white, terms), offered, float(np.count_nonzero(space.split.train)))
+    selection = Selection(fit(space, white, terms), offered)
     return concluded(Explained(space, chosen, data, selection))
 
 

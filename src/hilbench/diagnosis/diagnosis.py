@@ -311,7 +311,7 @@ def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce
         proposer = _proposer_for(predictor, model, data, {term.effect.id for term in few})
         rules = MeasuredRules(rules.space, proposer)
         selection = replace(search(rules, announce), of_too_few=few)
-    return Explained(rules.space, replace(chosen, predictor=rules.space.predictor), data, selection)
+    return Explained(rules.space, chosen, data, selection)
 
 
 @dataclass(frozen=True)
@@ -329,9 +329,14 @@ class _Verdict:
     @classmethod
     def of(cls, found: Explained) -> _Verdict:
         """Judge the residual of a search."""
-        space, selection, predictor = found.space, found.selection, found.chosen.predictor
+        space, selection, predictor = found.space, found.selection, found.space.predictor
         rows, torques, names = predictor.rows, torques_of(predictor), predictor.names
-        judged = _judged_by_noise(space, selection) if predictor.exact else _judged_by_rest(space, selection)
+        if predictor.exact:
+            judged = _judged_by_noise(space, selection)
+        else:  # by the spectrum of the residual, which is model error more than noise
+            fitted = fit(space, weights(space, found.terms), found.terms)
+            known = stated_uncertainty(space, selection.fit)
+            judged = _Judged(fitted, selection.fit, known.covariance, known.quantiles(0.95), {})
         trained, final = judged.trained, judged.final
         # Fast motion that the model explains is no noise.
         floors = {k: floor(final.residual[k]) for k in torques}
@@ -375,7 +380,7 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
     """The verdict on what a search has found; effects with their intervals, gaps, and where they were."""
     announce("judge the residual", 0.95)
     space, chosen, data, selection = found.space, found.chosen, found.data, found.selection
-    predictor, before, test, of = chosen.predictor, space.before, space.split.test, _Verdict.of(found)
+    predictor, before, test, of = space.predictor, space.before, space.split.test, _Verdict.of(found)
     trained, final, floors, conditions = of.judged.trained, of.judged.final, of.floors, of.conditions
     proposer = _proposer_for(predictor, space.model, data)
     names, scaled = in_floors(predictor.names, before, floors)
@@ -461,7 +466,7 @@ def _lasting_change(space: Space, selection: Selection) -> Misfit | None:
 def _nuisance(space: Space, chosen: Choice, final: Fit, effects: list[NamedEffect]) -> list[NamedEffect]:
     """Deviations of the drives' loops from the model's, where certain; of a lone axis that shows them the presliding
     displacement of its friction, and coupling torques of another axis. A torque reported late looks like a loop lag."""
-    model, predictor = space.model, chosen.predictor
+    model, predictor = space.model, space.predictor
     late = {e.axis for e in effects if e.effect == "torque_delay"}
     found = [
         NamedEffect(
@@ -533,14 +538,6 @@ def _stated(space: Space, white: Whitening, terms: list[Term], inflation: float)
     found = fit(space, white, terms, space.predictor.rows, enough=STATED)
     moved = moved_by_doubts(space, white, found) / inflation
     return replace(found, covariance=found.covariance + moved @ moved.T)
-
-
-def _judged_by_rest(space: Space, selection: Selection) -> _Judged:
-    """Uncertainty by the spectrum of the residual, where that is model error more than noise."""
-    final = selection.fit
-    trained = fit(space, weights(space, final.terms), final.terms)
-    known = stated_uncertainty(space, final)
-    return _Judged(trained, final, known.covariance, known.quantiles(0.95), {})
 
 
 def _moments(

@@ -120,6 +120,12 @@ def _best_while(times_s: Array, responses: Array, along: Array) -> tuple[float, 
     return float(times_s[chosen[0]]), float(times_s[chosen[1]]), best
 
 
+def _is_beyond_chance(gain: float) -> bool:
+    """True if a fall of a sum of squares is: the whitened noise has variance 1, so that its standard error is
+    2·√gain."""
+    return gain > 0.0 and gain > _HELD_OUT_ERRORS * 2.0 * float(np.sqrt(gain))
+
+
 class FreeRules:
     """Rules of a search where a right model leaves noise alone."""
 
@@ -423,7 +429,7 @@ class FreeRules:
         rows = self.space.split
         change = white.apply(current.residual - found.residual)
         if float(np.sum(change[:, rows.test] ** 2)) > _OBSERVABLE:
-            return self._held_out_agrees(test, found.test)
+            return _is_beyond_chance(test - found.test)
         change, residual = change[:, rows.train], white.apply(current.residual)[:, rows.train]
         along, square = np.sum(change * residual, axis=0), np.sum(change**2, axis=0)
         middle = int(np.searchsorted(np.cumsum(square), 0.5 * np.sum(square)))
@@ -432,15 +438,7 @@ class FreeRules:
         for one, other in ((early, late), (late, early)):
             size = float(np.sum(along[one])) / max(float(np.sum(square[one])), 1e-300)
             gain += size * (2.0 * float(np.sum(along[other])) - size * float(np.sum(square[other])))
-        return self._held_out_agrees(gain, 0.0)
-
-    def _held_out_agrees(self, before: float, after: float) -> bool:
-        """True if a fall of the sum of squares is beyond chance.
-
-        The whitened noise has variance 1, so the standard error of a gain is 2·√gain.
-        """
-        gain = before - after
-        return gain > 0.0 and gain > _HELD_OUT_ERRORS * 2.0 * float(np.sqrt(max(gain, 0.0)))
+        return _is_beyond_chance(gain)
 
     def ranked(
         self, offered: CandidateSet, residual: Array, own: Array, most: int | None = None, least: float = _PROMISING
@@ -552,10 +550,10 @@ class FreeRules:
         """Each term against its alternatives."""
         # What is not explained would be spread over the alternatives of every term: they would all seem tied.
         if self.is_rough(current):
-            return Selection(current, offered, self.samples)
+            return Selection(current, offered)
         current, tied, evidence = self.tested(current, offered)
         better = self._against_forces(current, offered, tied)
-        return Selection(current, offered, self.samples, tied, evidence, better=better)
+        return Selection(current, offered, tied, evidence, better=better)
 
     def tested(
         self, current: Fit, offered: CandidateSet

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 
@@ -79,7 +79,7 @@ def with_effects(model: AnyMachine, entries: Sequence[EffectEntry]) -> AnyMachin
     """The model with these effects instead of its own, validated. Raises pydantic.ValidationError."""
     data = model.model_dump()
     data["effects"] = [entry.model_dump() for entry in entries]
-    changed: AnyMachine = type(model).model_validate(data)
+    changed: AnyMachine = cast(Any, type(model)).model_validate(data)
     return changed
 
 

@@ -15,10 +15,19 @@ from scipy.integrate import cumulative_trapezoid
 
 from hilbench.arrays import Array
 from hilbench.diagnosis import machines
-from hilbench.diagnosis import web_torque_checks as torque_checks
 from hilbench.diagnosis.data_cleaning import Repair, mended
 from hilbench.diagnosis.noise import floor
-from hilbench.diagnosis.web_tensions import StationSensor, carriage_forces, station_sensors, tension_channels
+from hilbench.diagnosis.web_measurements import (
+    SLOW_HZ,
+    SlowMotion,
+    StationSensor,
+    accelerates,
+    carriage_forces,
+    exchanged,
+    station_sensors,
+    tension_channels,
+    unit_of,
+)
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import per_item
@@ -405,22 +414,22 @@ def _check_boundary(measured: Measured, model: ModelParameters, place: str | Pat
 
 def _check_driven(measured: Measured, model: Machine, place: str | Path) -> None:
     """A torque must accelerate its axis: one with the other sign, in another unit, or of another axis does not."""
-    usable = measured.usable(1.0 / torque_checks.SLOW_HZ)
-    motion = torque_checks.SlowMotion.of(measured.x_m, measured.v_m_s, measured.tau_Nm, measured.period_s, usable)
+    usable = measured.usable(1.0 / SLOW_HZ)
+    motion = SlowMotion.of(measured.x_m, measured.v_m_s, measured.tau_Nm, measured.period_s, usable)
     for axis in measured.tau_Nm:
         share = motion.inertia_share(axis, machines.Nm_per_acceleration(model, axis))
         if share is None:
             continue
-        unit = torque_checks.unit_of(share)
+        unit = unit_of(share)
         as_if = f", as if it were in {unit}" if unit else ""
         text = f"channel tau{axis}_Nm is {share:.3g} times the torque that accelerates axis {axis} by the model{as_if}"
         if machines.is_lone(model):  # of which it may be the model that has another inertia
             if unit is not None:
                 measured.repairs.append(Repair("unit", f"tau{axis}_Nm", 0, f"{text}: taken as N·m all the same"))
-        elif unit is not None or not torque_checks.accelerates(share):
+        elif unit is not None or not accelerates(share):
             raise UnusableInputError(place, f"{text}, expected N·m of the motor, positive where it drives forward")
     if isinstance(model, ModelParameters) and not machines.is_lone(model):
-        for one, two in torque_checks.exchanged(motion, model, measured.boundary):
+        for one, two in exchanged(motion, model, measured.boundary):
             raise UnusableInputError(
                 place,
                 f"channel tau{one}_Nm is the torque that axis {two} needs by the model and tau{two}_Nm that of axis"

@@ -379,16 +379,13 @@ class OnMeasuredMotion(Predictor):
         """Time and motion. Before friction slides, and within a play, it depends on the displacement since the last
         reversal."""
         step, unit = slice(None, None, self.every), self._model.position_unit
+        turns = np.concatenate([[0], np.flatnonzero(np.diff(np.sign(self._v))) + 1, [len(self._v)]])
+        since = self._x - np.repeat(self._x[turns[:-1]], np.diff(turns))  # signed by the direction
         return [
             *of_motion(self._t_s[step], 1, unit, self._v[step], self._a[step]),
             Condition("position of axis 1", unit, self._x[step], spectral=True),
-            Condition("travel since the last reversal of axis 1", unit, self._since_reversal()[step]),
+            Condition("travel since the last reversal of axis 1", unit, since[step]),
         ]
-
-    def _since_reversal(self) -> Array:
-        """(n,): displacement since the last reversal, signed by the direction."""
-        turns = np.concatenate([[0], np.flatnonzero(np.diff(np.sign(self._v))) + 1, [len(self._v)]])
-        return np.asarray(self._x - np.repeat(self._x[turns[:-1]], np.diff(turns)))
 
     def predict(self, parameters: Array) -> Array:
         """(B, P) to (B, 1, n): torque by the laws, filtered as the measurement is, and what the couplings explain of

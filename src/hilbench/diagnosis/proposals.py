@@ -160,7 +160,7 @@ class Proposer:
         terms = []
         for effect in self._vocabulary:
             for axis, section in machines.places(self._model, effect):
-                if self._possible(effect, axis) and not self._differs(effect, section):
+                if self._possible(effect, axis, section):
                     terms += self._looks(effect, axis, section)
         return terms
 
@@ -182,7 +182,10 @@ class Proposer:
         term = self._term(effect, axis, {}, section=section)
         return [replace(term, probe=times * term.size, multiplicity=count) for times in probe.tried]
 
-    def _possible(self, effect: Effect, axis: int | None) -> bool:
+    def _possible(self, effect: Effect, axis: int | None, section: Section | None) -> bool:
+        its = (one for one in self._model.effects if one.effect == effect.id)
+        if effect.per_section and section is None and any(one.section is not None for one in its):
+            return False  # an effect of all spans that the model has in some of them already
         # In less than a turn an encoder's error once a turn is one of its scale, or a torque that goes with the angle.
         if effect.domain is Domain.POSITION_MEASUREMENT and axis in self._data.x_m and self._turns(axis) < 1.0:
             return False
@@ -193,14 +196,6 @@ class Proposer:
         if not effect.needs_gear or axis is None:
             return True
         return bool(machines.of_kind(self._model).turns_apart(self._model, axis))
-
-    def _differs(self, effect: Effect, section: Section | None) -> bool:
-        """True if an effect of all spans is one that the model has in some of them already."""
-        return (
-            effect.per_section
-            and section is None
-            and any(one.effect == effect.id and one.section is not None for one in self._model.effects)
-        )
 
     def _over(self, over: ProbeOver) -> list[Effect]:
         """The effects that are searched for over this."""

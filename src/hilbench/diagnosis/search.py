@@ -29,7 +29,7 @@ def search(rules: FreeRules | MeasuredRules, announce: Announce = lambda text, s
         # An early term may have stood for two others that came later: it goes before the next is looked for.
         best = rules.pruned(best, offered.whitening)
         if len(best.terms) > rules.most_terms:
-            return Selection(current, offered, rules.samples, exhausted=True)
+            return Selection(current, offered, exhausted=True)
         current, offered, promising = rules.continued(best, offered)
         if not promising:
             break

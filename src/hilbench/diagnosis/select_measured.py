@@ -139,11 +139,6 @@ class MeasuredRules:
         """(n,): those that count."""
         return self.space.predictor.rows
 
-    @property
-    def samples(self) -> float:
-        """Number of values that count."""
-        return float(np.count_nonzero(self.rows) * len(self.space.predictor.names))
-
     def fit_of(self, terms: list[Term]) -> Fit:
         """Fitted to all rows that count."""
         return fitted(self.space, terms)
@@ -183,7 +178,7 @@ class MeasuredRules:
         # On one steady sine an inertia replaces a resonance, and leaves more.
         resonant = found_resonant and not any(t.is_torsional for t in current.terms)
         exhausted, few = resonant and is_on_one_sine(self.space), self._unidentifiable(current, tied, offered)
-        return Selection(current, offered, self.samples, tied, self._evidence(current), exhausted, unidentifiable=few)
+        return Selection(current, offered, tied, self._evidence(current), exhausted, unidentifiable=few)
 
     # -- fits ----------------------------------------------------------------------------------------------
 

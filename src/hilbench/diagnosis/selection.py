@@ -37,7 +37,6 @@ class Selection:
 
     fit: Fit
     candidates: CandidateSet
-    samples: float
     tied: dict[Key, list[Place]] = field(default_factory=dict)
     evidence: dict[Key, dict[str, float]] = field(default_factory=dict)
     exhausted: bool = False  #: more terms would explain more than may be named

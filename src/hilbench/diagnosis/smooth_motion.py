@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.signal import upfirdn
 
 from hilbench.arrays import Array
 
@@ -115,19 +116,10 @@ class Thinning:
         down = self.every * whole
         if self.every == 1:
             return np.asarray(values[..., ::down])
-        taps = self._taps(down)
-        half = len(taps) // 2
-        n = values.shape[-1]
-        ends = [(0, 0)] * (values.ndim - 1) + [(half, half + down)]
-        padded = np.pad(values, ends, mode="edge")
-        count = -(-n // down)
-        # As many blocks of `down` samples as the filter is long; the sum over blocks is a product of matrices.
-        blocks = padded[..., : (count + 2 * _HALF_LENGTH) * down].reshape(*values.shape[:-1], -1, down)
-        out = np.zeros((*values.shape[:-1], count))
-        for k in range(2 * _HALF_LENGTH):
-            out += blocks[..., k : k + count, :] @ taps[k * down : (k + 1) * down]
-        out += taps[-1] * padded[..., 2 * half :: down][..., :count]
-        return out
+        half, count = _HALF_LENGTH * down, -(-values.shape[-1] // down)
+        padded = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(half, half + down)], mode="edge")
+        filtered = upfirdn(self._taps(down), padded, 1, down)
+        return np.asarray(filtered[..., 2 * _HALF_LENGTH : 2 * _HALF_LENGTH + count])
 
 
 def frequency_of_sine(speed: Array, period_s: float) -> float | None:

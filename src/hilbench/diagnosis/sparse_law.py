@@ -121,7 +121,17 @@ def _library(conditions: Sequence[Condition]) -> Iterator[_Candidate]:
     states = {one.name: one for one in conditions}
     speeds = [one for name, one in states.items() if name.startswith("speed of axis")]
     for speed in speeds:
-        yield from _of_speed(speed)
+        v, unit = speed.values, speed.unit
+        yield _Candidate("sign(v)", "N·m", np.sign(v))
+        yield _Candidate("v", f"N·m/({unit})", v)
+        yield _Candidate("|v|", f"N·m/({unit})", np.abs(v))
+        yield _Candidate("v·|v|", f"N·m/({unit})²", v * np.abs(v))
+        yield _Candidate("v²", f"N·m/({unit})²", v**2)
+        yield _Candidate("sign(v)·√|v|", f"N·m/√({unit})", np.sign(v) * np.sqrt(np.abs(v)))
+        top = float(np.max(np.abs(v), initial=0.0))
+        for share in _SPEEDS if top > 0.0 else ():
+            slow = share * top
+            yield _Candidate(f"sign(v)·exp(−|v|/{slow:.3g} {unit})", "N·m", np.sign(v) * np.exp(-np.abs(v) / slow))
     for name, one in states.items():
         if name.startswith("acceleration of axis"):
             yield _Candidate("a", f"N·m/({one.unit})", one.values)
@@ -133,40 +143,22 @@ def _library(conditions: Sequence[Condition]) -> Iterator[_Candidate]:
                 yield _Candidate(f"{letter}·sign(v)", f"N·m/({one.unit})", one.values * np.sign(speed.values))
                 yield _Candidate(f"{letter}·v", f"N·m/({one.unit}·{speed.unit})", one.values * speed.values)
         elif name.startswith("position of axis"):
-            yield from _of_position(one, speeds)
+            x, unit = one.values, one.unit
+            travel = float(np.ptp(x))
+            yield _Candidate("x", f"N·m/{unit}", x - float(np.mean(x)))
+            for order in _ORDERS:
+                yield _Candidate(f"sin({order}·x/1 {unit})", "N·m", np.sin(order * x))
+                yield _Candidate(f"cos({order}·x/1 {unit})", "N·m", np.cos(order * x))
+            for share in _LENGTHS if travel > 0.0 else ():
+                length = share * travel
+                yield _Candidate(f"presliding over {length:.3g} {unit}", "N·m", presliding(x, length))
+            for speed in speeds:
+                yield _Candidate("x·sign(v)", f"N·m/{unit}", (x - float(np.mean(x))) * np.sign(speed.values))
         elif one.period is not None:
             angle = 2.0 * np.pi * one.values / one.period
             for order in _ORDERS:
                 yield _Candidate(f"sin({order}·{name})", "N·m", np.sin(order * angle))
                 yield _Candidate(f"cos({order}·{name})", "N·m", np.cos(order * angle))
-
-
-def _of_speed(speed: Condition) -> Iterator[_Candidate]:
-    v, unit = speed.values, speed.unit
-    yield _Candidate("sign(v)", "N·m", np.sign(v))
-    yield _Candidate("v", f"N·m/({unit})", v)
-    yield _Candidate("|v|", f"N·m/({unit})", np.abs(v))
-    yield _Candidate("v·|v|", f"N·m/({unit})²", v * np.abs(v))
-    yield _Candidate("v²", f"N·m/({unit})²", v**2)
-    yield _Candidate("sign(v)·√|v|", f"N·m/√({unit})", np.sign(v) * np.sqrt(np.abs(v)))
-    top = float(np.max(np.abs(v), initial=0.0))
-    for share in _SPEEDS if top > 0.0 else ():
-        slow = share * top
-        yield _Candidate(f"sign(v)·exp(−|v|/{slow:.3g} {unit})", "N·m", np.sign(v) * np.exp(-np.abs(v) / slow))
-
-
-def _of_position(position: Condition, speeds: Sequence[Condition]) -> Iterator[_Candidate]:
-    x, unit = position.values, position.unit
-    travel = float(np.ptp(x))
-    yield _Candidate("x", f"N·m/{unit}", x - float(np.mean(x)))
-    for order in _ORDERS:
-        yield _Candidate(f"sin({order}·x/1 {unit})", "N·m", np.sin(order * x))
-        yield _Candidate(f"cos({order}·x/1 {unit})", "N·m", np.cos(order * x))
-    for share in _LENGTHS if travel > 0.0 else ():
-        length = share * travel
-        yield _Candidate(f"presliding over {length:.3g} {unit}", "N·m", presliding(x, length))
-    for speed in speeds:
-        yield _Candidate("x·sign(v)", f"N·m/{unit}", (x - float(np.mean(x))) * np.sign(speed.values))
 
 
 def presliding(x: Array, length: float) -> Array:

@@ -76,16 +76,14 @@ def _of_a_shaft(recording: Recording) -> tuple[LiveFigure, ...]:
     error_rad_s = signal(recording, "v1_cmd_rad_s") - signal(recording, "v1_rad_s")
     friction_Nm = signal(recording, "coulomb_sim_Nm") - signal(recording, "coulomb_true_Nm")
     residual_Nm = signal(recording, "tau1_residual_Nm")
-    return (
-        LiveFigure("torque_residual_rms_Nm", "torque residual, rms, N·m", rms(residual_Nm[works])),
-        LiveFigure("speed_error_rms_rad_s", "speed less its command, rms, rad/s", rms(error_rad_s[works])),
-        LiveFigure(
-            "friction_deviation_mean_Nm",
-            "estimated less emulated dry friction, mean, N·m",
-            float(np.mean(friction_Nm[works])),
-        ),
-        LiveFigure("J_bias_pct", "bias of the inertia, %", 100.0 * float(np.mean(ratio[works]) - 1.0)),
+    friction_mean_Nm, bias = float(np.mean(friction_Nm[works])), float(np.mean(ratio[works]) - 1.0)
+    figures = (
+        ("torque_residual_rms_Nm", "torque residual, rms, N·m", rms(residual_Nm[works])),
+        ("speed_error_rms_rad_s", "speed less its command, rms, rad/s", rms(error_rad_s[works])),
+        ("friction_deviation_mean_Nm", "estimated less emulated dry friction, mean, N·m", friction_mean_Nm),
+        ("J_bias_pct", "bias of the inertia, %", 100.0 * bias),
     )
+    return tuple(LiveFigure(*figure) for figure in figures)
 
 
 #: Share of its highest speed above which a machine counts as working.

@@ -17,7 +17,7 @@ from hilbench.diagnosis.loop_check import Loop
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Before, Measured
 from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.residual_analysis import Condition, of_motion
-from hilbench.diagnosis.web_tensions import tension_names
+from hilbench.diagnosis.web_measurements import tension_names
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.driving_force import driving_force_N
@@ -255,9 +255,11 @@ class FreeRun(Predictor):
 
     def _predicted(self, parameters: Array) -> Array:
         run = self._run(np.atleast_2d(parameters))
-        by_number = (dict(enumerate(np.moveaxis(each, -1, 0), 1)) for each in (run.tau_Nm, run.x_m, run.v_m_s, run.F_N))
+        tau_Nm, x_m, v_m_s, F_N = (
+            dict(enumerate(np.moveaxis(each, -1, 0), 1)) for each in (run.tau_Nm, run.x_m, run.v_m_s, run.F_N)
+        )
         sensors_m = () if run.sensors_m is None else np.moveaxis(run.sensors_m, -1, 0)
-        return np.stack(self._of_signals(*by_number, sensors_m), axis=1)
+        return np.stack(self._of_signals(tau_Nm, x_m, v_m_s, F_N, sensors_m), axis=1)
 
     def _of_signals(
         self,

@@ -25,7 +25,7 @@ from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.residual_analysis import Condition, of_motion
 from hilbench.diagnosis.smooth_motion import Thinning, low_passed, smoothed
 from hilbench.diagnosis.web_line.free_run import of_line, remembered_m
-from hilbench.diagnosis.web_tensions import tension_names
+from hilbench.diagnosis.web_measurements import tension_names
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.line_inverse import RequiredTorques, required_torques
