@@ -18,12 +18,11 @@ from scipy.signal import lfilter
 
 from hilbench.arrays import Array
 from hilbench.diagnosis.noise import NORMAL_95
+from hilbench.diagnosis.smooth_motion import without_slow
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import DriveParameters, per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 
-#: What is slower than this, s, is not looked at: an offset of the torque is no gain.
-_WINDOW_S: Final = 2.0
 #: Lags that are tried, s, and how much closer around the best.
 _LAGS_S: Final = np.arange(0.0, 0.0101, 0.001)
 _CLOSER_S: Final = np.linspace(-0.0008, 0.0008, 9)
@@ -122,14 +121,10 @@ def loop_of(
     limit = _LIMITED * per_item(drives.torque_limit_Nm, axis)
     limited = uniform_filter1d((np.abs(drive.torque_Nm) > limit).astype(np.float64), round(0.5 / period_s) | 1)
     rows = rows & (np.abs(thin(limited)) < 1e-6)
-    window = max(3, round(_WINDOW_S / row_s))
-
-    weight = rows.astype(np.float64)
-    share = np.maximum(uniform_filter1d(weight, window, mode="constant"), 1.0 / window)
+    quick = without_slow(rows, row_s)
 
     def of_rows(thinned: Array) -> Array:
-        mean = uniform_filter1d(thinned * weight, window, mode="constant")
-        return np.asarray((thinned - mean / share)[rows] / drive.floor_Nm)
+        return quick(thinned)[rows] / drive.floor_Nm
 
     def seen(values: Array) -> Array:
         return of_rows(thin(values))

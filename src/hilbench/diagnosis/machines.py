@@ -1,4 +1,4 @@
-"""The model of a machine of any kind, as a diagnosis varies it: its parameter vector, effects, and channels."""
+"""The model of a machine of any kind, as a diagnosis varies it: parameter vector, effects, channels, emulation."""
 
 from __future__ import annotations
 

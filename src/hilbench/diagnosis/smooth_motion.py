@@ -6,17 +6,21 @@ period, and a finer grid costs nothing. And whether a motion is one steady sine.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import upfirdn
 
-from hilbench.arrays import Array
+from hilbench.arrays import Array, Rows
 
 #: Length of a root-raised-cosine filter to either side, in rows that it leaves, and its roll-off.
 _HALF_LENGTH = 10
 ROLL_OFF = 0.2
+#: What is slower than this, s, is not looked at where it would add up without end, or an offset be taken for a gain.
+_WINDOW_S: Final = 2.0
 #: Share of the speed's square that a sine has to explain; of a triangle the best one explains 0.986.
 _PURE: Final = 0.995
 #: Finer than the lines of the spectrum by, and tries between two of these.
@@ -64,6 +68,13 @@ def _passed(frequency: Array, band_Hz: tuple[float, float]) -> Array:
     low, high = band_Hz
     share = np.clip((frequency - low) / max(high - low, 1e-9), 0.0, 1.0)
     return np.asarray(np.cos(0.5 * np.pi * share) ** 2)
+
+
+def without_slow(rows: Rows, row_s: float) -> Callable[[Array], Array]:
+    """Function that takes what is slower than `_WINDOW_S` out of signals (…, n), by the rows that count (n,)."""
+    window, weight = max(3, round(_WINDOW_S / row_s)), rows.astype(np.float64)
+    share = np.maximum(uniform_filter1d(weight, window, mode="constant"), 1.0 / window)
+    return lambda values: np.asarray(values - uniform_filter1d(values * weight, window, mode="constant") / share)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from hilbench.arrays import Array
 from hilbench.compiled import record_at
@@ -17,6 +16,7 @@ from hilbench.diagnosis.loop_check import Loop
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Before, Measured
 from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.residual_analysis import Condition, of_motion
+from hilbench.diagnosis.smooth_motion import without_slow
 from hilbench.diagnosis.web_measurements import tension_names
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
@@ -31,9 +31,8 @@ from hilbench.plant.web_line.sizes import machine_sizes
 
 #: Speed from which a recording counts as begun in motion.
 _MOVES_M_S: Final = 10.0 * FRICTION_WIDTH_M_S
-#: Positions are compared without what is slower than this, s, and believed to this share of what the web in the span is
-#: stretched by: in a closed loop they show so much that the rounding of a command would be found as an effect.
-_WINDOW_S: Final = 2.0
+#: Positions are believed to this share of what the web in the span is stretched by: in a closed loop they show so much
+#: that the rounding of a command would be found as an effect.
 _TOLERANCE: Final = 0.007
 #: The same on a bench of which it is not known what its drives make of a command.
 _UNROUNDED_TOLERANCE: Final = 0.035
@@ -89,9 +88,7 @@ class FreeRun(Predictor):
         else:
             names += [f"x{axis}_m" for axis in self._positions]
         self.rows = self._usable(data)
-        self._window = max(3, round(_WINDOW_S / data.period_s))
-        self._weight = self.rows.astype(np.float64)
-        self._mean_weight = np.maximum(self._mean(self._weight), 1.0 / self._window)
+        self._quick = without_slow(self.rows, data.period_s)
         self._speeds = [axis for axis in data.v_m_s if axis not in data.x_m]
         self._tensions, self._sensors = sorted(data.F_N), sorted(data.sensors_m)
         names += [f"v{axis}_m_s" for axis in self._speeds]
@@ -278,14 +275,11 @@ class FreeRun(Predictor):
             x = [*(a - b for a, b in pairwise(x)), sum(x[1:], x[0]) / len(x)]
         return [
             *(tau_Nm[axis] for axis in self._torques),
-            *(each - self._mean(each * self._weight) / self._mean_weight for each in x),
+            *map(self._quick, x),
             *(v_m_s[axis] for axis in self._speeds),
             *(F_N[span] for span in self._tensions),
             *sensors_m,
         ]
-
-    def _mean(self, row: Array) -> Array:
-        return np.asarray(uniform_filter1d(row, self._window, mode="constant"))
 
     def _with_loops(self, parameters: Array) -> Array:
         if not self._loops:
