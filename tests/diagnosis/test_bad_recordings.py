@@ -102,6 +102,7 @@ def quiet(c: Channels) -> Channels:
         (scaled("tau1_Nm", 1000.0), "expected N·m within the drive's limit of 9"),
         (scaled("strain_prev", 1e6), "channel strain_prev reaches"),
         (scaled("tau2_Nm", 0.0), "channel tau2_Nm never changes"),
+        (scaled("v1_m_s", 0.0), "channel v1_m_s moves 0 while v1_cmd_m_s says"),
         (scaled("v1_m_s", 25.0 * 60.0 / (2.0 * np.pi)), "as if v1_m_s were in rpm of the motor, expected SI units"),
         (scaled("v1_m_s", 5.0), "as if v1_m_s were in rad/s of the roller, expected SI units"),
         (both(scaled("x2_m", 25.0), scaled("x1_m", 25.0)), "x1_m were in rad of the motor"),

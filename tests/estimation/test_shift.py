@@ -237,3 +237,10 @@ def test_a_large_step_of_e_beside_an_accumulator_is_no_slip(seed: int) -> None:
     outcome = run_shift(MACHINES["winding_line"], 46.0 / 3600.0, seed=seed)
     assert outcome.notices == ()
     assert abs(outcome.worst_pct or 0.0) < LARGEST_PCT
+
+
+@pytest.mark.slow
+def test_a_small_step_of_the_inertia_as_a_ramp_begins_is_not_taken_for_friction() -> None:
+    """One ramp shows inertia and friction alike: 3.4 % off where friction may change within ten minutes."""
+    outcome = run_shift(MACHINES["servo_axis"], 0.5, seed=5)
+    assert abs(outcome.worst_pct or 0.0) < 1.5

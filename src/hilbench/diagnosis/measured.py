@@ -310,7 +310,7 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
         largest = float(np.max(np.abs(values)))
         if largest > fastest:
             raise UnusableInputError(place, f"channel {name} reaches {largest:g}, expected {unit} up to {fastest:g}")
-    _check_positions(measured, model, place)
+    _check_motion(measured, model, place)
     if isinstance(model, ModelParameters) and model.span_count and not machines.has_stations(model):
         _check_directions(measured, place)
     strain = float(np.max(np.abs(measured.boundary[:, 0])))
@@ -437,20 +437,30 @@ def _check_driven(measured: Measured, model: Machine, place: str | Path) -> None
             )
 
 
-def _check_positions(measured: Measured, model: Machine, place: str | Path) -> None:
-    """Check that each position moves as fast as its axis is commanded."""
-    for axis, x in measured.x_m.items():
-        if axis > measured.commands_m_s.shape[1]:
-            continue
-        commanded = float(np.sum(np.abs(measured.commands_m_s[:-1, axis - 1]))) * measured.period_s
-        moved = float(np.sum(np.abs(np.diff(x[:: max(1, round(0.1 / measured.period_s))]))))
-        if commanded > 0.1 and not 0.5 < moved / commanded < 2.0:
-            raise UnusableInputError(
-                place,
-                f"channel {machines.position_channel(model, axis)} moves {moved:.4g} while"
-                f" {machines.speed_channel(model, axis, '_cmd')} says {commanded:.4g} {model.position_unit},"
-                f" expected position in {model.position_unit} and speed in {machines.speed_unit(model)}",
-            )
+def _check_motion(measured: Measured, model: Machine, place: str | Path) -> None:
+    """Check that each axis moves as fast as it is commanded, by its position and by its speed: a dead channel does
+    not."""
+    rows = max(1, round(_STEP_S / measured.period_s))
+    for axis, command in enumerate(measured.commands_m_s.T, 1):
+        commanded = float(np.sum(np.abs(command[:-1]))) * measured.period_s
+        for name, moved in _travels(measured, model, axis, rows):
+            if commanded > 0.1 and not 0.5 < moved / commanded < 2.0:
+                raise UnusableInputError(
+                    place,
+                    f"channel {name} moves {moved:.4g} while {machines.speed_channel(model, axis, '_cmd')} says"
+                    f" {commanded:.4g} {model.position_unit}, expected position in {model.position_unit} and speed in"
+                    f" {machines.speed_unit(model)}",
+                )
+
+
+def _travels(measured: Measured, model: Machine, axis: int, rows: int) -> Iterator[tuple[str, float]]:
+    """Travel of an axis to and fro, in steps of so many rows, by each channel of its motion."""
+    if axis in measured.x_m and not measured.integrated:
+        x = measured.x_m[axis]
+        yield machines.position_channel(model, axis), float(np.sum(np.abs(np.diff(x[::rows]))))
+    if axis in measured.v_m_s:
+        steps = np.add.reduceat(measured.v_m_s[axis], np.arange(0, len(measured.t_s), rows)) * measured.period_s
+        yield machines.speed_channel(model, axis), float(np.sum(np.abs(steps)))
 
 
 def _check_torques(measured: Measured, model: Machine, place: str | Path) -> None:
