@@ -34,7 +34,7 @@ class InertiaConfig(Block):
         default=2.0, description="growth of the deviation, as a random walk, while there is no usable sample"
     )
     friction_memory_s: PositiveFloat = Field(
-        default=3600.0,
+        default=600.0,
         description="time in which friction may wander through what is believed of it, and take up a law that the"
         " model lacks",
     )
