@@ -331,8 +331,11 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
 def _travel(x: Array, period_s: float) -> float:
     """Travel of an axis, to and fro; its range where that may be noise."""
     reach = float(np.ptp(x))
-    if reach < _OVER_NOISE * floor(x):
-        return reach
+    return reach if reach < _OVER_NOISE * floor(x) else _to_and_fro(x, period_s)
+
+
+def _to_and_fro(x: Array, period_s: float) -> float:
+    """Sum of an axis's steps of `_STEP_S`, noise included."""
     return float(np.sum(np.abs(np.diff(x[:: max(1, round(_STEP_S / period_s))]))))
 
 
@@ -440,10 +443,9 @@ def _check_driven(measured: Measured, model: Machine, place: str | Path) -> None
 def _check_motion(measured: Measured, model: Machine, place: str | Path) -> None:
     """Check that each axis moves as fast as it is commanded, by its position and by its speed: a dead channel does
     not."""
-    rows = max(1, round(_STEP_S / measured.period_s))
     for axis, command in enumerate(measured.commands_m_s.T, 1):
         commanded = float(np.sum(np.abs(command[:-1]))) * measured.period_s
-        for name, moved in _travels(measured, model, axis, rows):
+        for name, moved in _travels(measured, model, axis):
             if commanded > 0.1 and not 0.5 < moved / commanded < 2.0:
                 raise UnusableInputError(
                     place,
@@ -453,14 +455,14 @@ def _check_motion(measured: Measured, model: Machine, place: str | Path) -> None
                 )
 
 
-def _travels(measured: Measured, model: Machine, axis: int, rows: int) -> Iterator[tuple[str, float]]:
-    """Travel of an axis to and fro, in steps of so many rows, by each channel of its motion."""
+def _travels(measured: Measured, model: Machine, axis: int) -> Iterator[tuple[str, float]]:
+    """Travel of an axis to and fro by each channel of its motion."""
+    period_s = measured.period_s
     if axis in measured.x_m and not measured.integrated:
-        x = measured.x_m[axis]
-        yield machines.position_channel(model, axis), float(np.sum(np.abs(np.diff(x[::rows]))))
+        yield machines.position_channel(model, axis), _to_and_fro(measured.x_m[axis], period_s)
     if axis in measured.v_m_s:
-        steps = np.add.reduceat(measured.v_m_s[axis], np.arange(0, len(measured.t_s), rows)) * measured.period_s
-        yield machines.speed_channel(model, axis), float(np.sum(np.abs(steps)))
+        added = cumulative_trapezoid(measured.v_m_s[axis], dx=period_s, initial=0.0)
+        yield machines.speed_channel(model, axis), _to_and_fro(added, period_s)
 
 
 def _check_torques(measured: Measured, model: Machine, place: str | Path) -> None:
