@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import ceil, log10
 from pathlib import Path
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hilbench.arrays import Array
 from hilbench.diagnosis import machines
+from hilbench.diagnosis.coupled_axis import OTHER_HELD, couplings, proposer_for, unidentifiable_beside
 from hilbench.diagnosis.data_cleaning import Repair
 from hilbench.diagnosis.fed_forward import without_excess, without_oscillation
 from hilbench.diagnosis.fit import (
@@ -31,9 +32,9 @@ from hilbench.diagnosis.loop_check import nuisance_of
 from hilbench.diagnosis.machines import AnyEmulation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
-from hilbench.diagnosis.measured_rules import first_unseen, settled_beside, unidentifiable_modes
+from hilbench.diagnosis.measured_rules import first_unseen, lasting_change, settled_beside, unidentifiable_modes
 from hilbench.diagnosis.noise import NORMAL_95, Whitening, floor, rms
-from hilbench.diagnosis.predictor import Choice, Predictor, choice, deviations_of, torques_of
+from hilbench.diagnosis.predictor import Choice, choice, deviations_of, torques_of
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.residual_analysis import (
     Condition,
@@ -44,15 +45,13 @@ from hilbench.diagnosis.residual_analysis import (
     located,
     misfits,
 )
-from hilbench.diagnosis.residual_noise import uncertainty
 from hilbench.diagnosis.search import Announce, search
 from hilbench.diagnosis.select_measured import MeasuredRules
 from hilbench.diagnosis.selection import Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
-from hilbench.diagnosis.stretched_problem import StretchedProblem
 from hilbench.diagnosis.terms import Place, Term, extended, parts
-from hilbench.plant.effect import Effect, Section
+from hilbench.plant.effect import Section
 from hilbench.plant.model_file import Machine
 from hilbench.results.recording import Recording
 
@@ -66,20 +65,9 @@ _PROFILE_S: Final = 0.3
 _ROWS_OF_WHERE: Final = 8
 #: Orders, in turns of the motor, of which it is said from which on these data can't show a ripple.
 _ORDERS: Final = (1.0, 2.0, 4.0, 6.0)
-#: Effects that change all of a torque, and so what the other axis makes of it, which is not known beforehand; an
-#: inertia, to which what is carried adds; and a torsional mode, which an arm has by itself.
-_UNIDENTIFIABLE: Final = frozenset({"torque_scale", "torque_delay", "feed_forward", "inertia_mismatch", "resonance"})
-#: The experiment that identifies them.
-_OTHER_HELD: Final = "the same motion while the other axis is held"
 _PROFILES: Final = 4
 _DIGITS: Final = 8
 _LEAST_DIGITS: Final = 5
-#: Share of what is left from which a change with time explains too much of it for the effects to be all.
-_MOSTLY: Final = 1.0 / 3.0
-#: Rows of a while, and the share of what is left that a tenth of all whiles has where it comes in bursts.
-_WHILE, _FEW, _BURSTS = 8, 10, 0.7
-#: Share of the torque's rms from which what is left matters.
-_MATTERS: Final = 0.01
 
 
 @dataclass(frozen=True)
@@ -253,7 +241,7 @@ def diagnosed(
     explanation = explained(chosen, model, data, announce)
     for corrected in (without_excess, without_oscillation):
         space = explanation.space
-        proposer = _proposer_for(space.predictor, model, data)
+        proposer = proposer_for(space.predictor, model, data)
         if (mended := corrected(space, proposer, explanation.selection, explanation.data)) is not None:
             explanation = explained(choice(model, mended, emulation), model, mended, announce)
     return concluded(explanation, announce)
@@ -274,31 +262,11 @@ class Explained:
         return self.selection.fit.terms
 
 
-def _unidentifiable_beside(predictor: Predictor, model: Machine) -> tuple[Effect, ...]:
-    """Effects that are not identifiable with another axis coupled; none where there is no other."""
-    if predictor.arm is None:
-        return ()
-    return tuple(effect for effect in machines.vocabulary(model) if effect.id in _UNIDENTIFIABLE)
-
-
-def _proposer_for(predictor: Predictor, model: Machine, data: Measured, without: Collection[str] = ()) -> Proposer:
-    """Proposer of effects that are identifiable by a prediction; without: effects that are not looked for.
-
-    With another axis coupled, gravity is looked for in any arc: else it is taken for one of the torques that go with
-    both.
-    """
-    unidentifiable = _unidentifiable_beside(predictor, model)
-    vocabulary = tuple(
-        effect for effect in machines.vocabulary(model) if effect not in unidentifiable and effect.id not in without
-    )
-    return Proposer(model, data, vocabulary, any_arc=predictor.arm is not None)
-
-
 def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce) -> Explained:
     """Search for what the model lacks, by a prediction."""
     predictor = chosen.predictor
     space = Space(model, predictor, data.period_s)
-    proposer = _proposer_for(predictor, model, data)
+    proposer = proposer_for(predictor, model, data)
     if predictor.exact:
         return Explained(space, chosen, data, search(FreeRules(space, proposer), announce))
     rules = MeasuredRules(space, proposer)
@@ -308,7 +276,7 @@ def explained(chosen: Choice, model: Machine, data: Measured, announce: Announce
         selection = search(rules, announce)
     # Found given the others a mode is as little identified: once more without.
     if few := unidentifiable_modes(rules.space, selection.fit):
-        proposer = _proposer_for(predictor, model, data, {term.effect.id for term in few})
+        proposer = proposer_for(predictor, model, data, {term.effect.id for term in few})
         rules = MeasuredRules(rules.space, proposer)
         selection = replace(search(rules, announce), of_too_few=few)
     return Explained(rules.space, chosen, data, selection)
@@ -355,7 +323,7 @@ class _Verdict:
             unknown = any(
                 rms(rest[k, at]) > LARGEST_REST * rms(predictor.measured[k, rows]) for rest, at in left for k in torques
             )
-            if not unknown and (changes := _lasting_change(space, selection)) is not None:
+            if not unknown and (changes := lasting_change(space, selection)) is not None:
                 unknown, unexplained = True, [changes, *unexplained]
         better, too_few = selection.better, selection.of_too_few
         for term in too_few:
@@ -382,7 +350,7 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
     space, chosen, data, selection = found.space, found.chosen, found.data, found.selection
     predictor, before, test, of = space.predictor, space.before, space.split.test, _Verdict.of(found)
     trained, final, floors, conditions = of.judged.trained, of.judged.final, of.floors, of.conditions
-    proposer = _proposer_for(predictor, space.model, data)
+    proposer = proposer_for(predictor, space.model, data)
     names, scaled = in_floors(predictor.names, before, floors)
     effects = _named(space.model, of.certain, of.judged, selection)
     gaps = [
@@ -416,8 +384,8 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
             ),
             *(Unobservable.of(t, None, f"{t.effect.shown_by}, to many speeds") for t in unidentifiable),
             *(
-                Unobservable(effect.id, 1, None, effect.parameter(effect.strength[0]).unit, _OTHER_HELD)
-                for effect in _unidentifiable_beside(predictor, space.model)  # while the other axis is coupled
+                Unobservable(effect.id, 1, None, effect.parameter(effect.strength[0]).unit, OTHER_HELD)
+                for effect in unidentifiable_beside(predictor, space.model)  # while the other axis is coupled
             ),
         ],
         missing_channels=data.missing,
@@ -434,33 +402,6 @@ def concluded(found: Explained, announce: Announce = lambda text, share: None) -
         laws=[one for one in laws if one is not None],
         repairs=data.repairs,
     )
-
-
-def _lasting_change(space: Space, selection: Selection) -> Misfit | None:
-    """What is left where much of it would be explained by friction and offset that change with time, as those of an
-    axis that warms up do, or comes in bursts, as from a gear's play that is crossed; no effect does either."""
-    rows, found, offered = space.predictor.rows, selection.fit, selection.candidates
-    if rms(found.residual[..., rows]) < _MATTERS * rms(space.predictor.measured[..., rows]):
-        return None
-    own = space.point(found.terms, found.residual).derivatives[..., rows]
-    mine = [own[part] for term, part in zip(found.terms, parts(found.terms), strict=True) if not term.effect.removable]
-    each = zip(offered.candidates, offered.responses, strict=True)
-    simple = np.concatenate([own[:0], *mine, *(r[..., rows] for term, r in each if not term.effect.removable)])
-    problem = StretchedProblem.of(
-        found.residual[..., rows], np.concatenate([own, simple, simple * np.linspace(-1.0, 1.0, simple.shape[-1])])
-    )
-    count = len(problem.raw)
-    steady, changing = problem.left(list(range(count - len(simple))))[0], problem.left(list(range(count)))[0]
-    share = 1.0 - changing / max(steady, 1e-300)
-    name = space.predictor.names[0]
-    if share > _MOSTLY:
-        return Misfit(name, "time", "friction or offset change with it", share, _MOSTLY, "always")
-    left = found.residual[0, rows]
-    squares = np.sort([float(np.mean(part**2)) for part in np.array_split(left, max(len(left) // _WHILE, 1))])[::-1]
-    few = float(np.sum(squares[: len(squares) // _FEW])) / max(float(np.sum(squares)), 1e-300)
-    if few > _BURSTS:
-        return Misfit(name, "burst in time", "what is left comes in bursts", few, _BURSTS, "always")
-    return None
 
 
 def _nuisance(space: Space, chosen: Choice, final: Fit, effects: list[NamedEffect]) -> list[NamedEffect]:
@@ -483,22 +424,9 @@ def _nuisance(space: Space, chosen: Choice, final: Fit, effects: list[NamedEffec
         travel = Value.of(sliding.presliding_travel, sliding.ci95, unit)
         found.append(NamedEffect("presliding", 1, {f"way_{unit}": travel}, {}))
     if predictor.arm is not None:
-        found.append(NamedEffect("coupling", 1, _couplings(space, predictor, final), {}))
+        values = {name: Value.of(*known) for name, known in couplings(space, predictor, final).items()}
+        found.append(NamedEffect("coupling", 1, values, {}))
     return found
-
-
-def _couplings(space: Space, predictor: OnMeasuredMotion, found: Fit) -> dict[str, Value]:
-    """Torques of another axis at the joint, by name, fitted with the terms that were found."""
-    alone = replace(space, predictor=predictor.uncoupled)
-    beside = alone.point(found.terms, alone.residual(found.terms)).derivatives
-    wide = np.concatenate([predictor.couplings[:, None], beside])[..., predictor.rows]
-    known = uncertainty(wide, found.residual[..., predictor.rows])
-    half = known.deviations * known.quantiles(0.95)
-    strengths = predictor.coupled_by(space.packed(found.terms))
-    return {
-        name: Value.of(value, (value - error, value + error), "N·m" if name.endswith("_Nm") else "kg·m²")
-        for (name, value), error in zip(strengths.items(), half.tolist(), strict=False)
-    }
 
 
 @dataclass(frozen=True)

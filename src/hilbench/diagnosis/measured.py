@@ -461,7 +461,7 @@ def _travels(measured: Measured, model: Machine, axis: int) -> Iterator[tuple[st
     if axis in measured.x_m and not measured.integrated:
         yield machines.position_channel(model, axis), _to_and_fro(measured.x_m[axis], period_s)
     if axis in measured.v_m_s:
-        added = cumulative_trapezoid(measured.v_m_s[axis], dx=period_s, initial=0.0)
+        added = cumulative_trapezoid(measured.v_m_s[axis], dx=period_s, initial=0)
         yield machines.speed_channel(model, axis), _to_and_fro(added, period_s)
 
 

@@ -27,11 +27,13 @@ import numpy as np
 from hilbench.arrays import Array
 from hilbench.diagnosis.fit import Fit, fit, fitted, uncertainty_of, weights
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
+from hilbench.diagnosis.noise import rms
 from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.residual_analysis import Misfit
 from hilbench.diagnosis.residual_noise import Uncertainty
 from hilbench.diagnosis.selection import CandidateSet, Selection
 from hilbench.diagnosis.space import Space
-from hilbench.diagnosis.stretched_problem import STRETCHES, basis, own_share, without
+from hilbench.diagnosis.stretched_problem import STRETCHES, StretchedProblem, basis, own_share, without
 from hilbench.diagnosis.terms import RANK, Place, Term, parts, strength_parts
 from hilbench.plant.effect import Domain, ProbeOver
 
@@ -44,6 +46,12 @@ TIED: Final = 0.03
 _CLEARLY: Final = 1.5
 #: Share of what any order explains from which a whole one is named instead.
 WHOLE: Final = 0.75
+#: Share of what is left from which a change with time explains too much of it for the effects to be all.
+_MOSTLY: Final = 1.0 / 3.0
+#: Rows of a while, and the share of what is left that a tenth of all whiles has where it comes in bursts.
+_WHILE, _FEW, _BURSTS = 8, 10, 0.7
+#: Share of the torque's rms from which what is left matters.
+_MATTERS: Final = 0.01
 
 
 @dataclass(frozen=True)
@@ -369,3 +377,30 @@ def _squares(responses: Array, beside: Array, tried: int) -> tuple[Array, Array]
     whole = np.maximum(np.sum(flat**2, axis=1), 1e-300)
     along = flat @ flat[:tried].T
     return whole, np.max(along**2 / whole[:tried], axis=1)
+
+
+def lasting_change(space: Space, selection: Selection) -> Misfit | None:
+    """What is left where much of it would be explained by friction and offset that change with time, as those of an
+    axis that warms up do, or comes in bursts, as from a gear's play that is crossed; no effect does either."""
+    rows, found, offered = space.predictor.rows, selection.fit, selection.candidates
+    if rms(found.residual[..., rows]) < _MATTERS * rms(space.predictor.measured[..., rows]):
+        return None
+    own = space.point(found.terms, found.residual).derivatives[..., rows]
+    mine = [own[part] for term, part in zip(found.terms, parts(found.terms), strict=True) if not term.effect.removable]
+    each = zip(offered.candidates, offered.responses, strict=True)
+    simple = np.concatenate([own[:0], *mine, *(r[..., rows] for term, r in each if not term.effect.removable)])
+    problem = StretchedProblem.of(
+        found.residual[..., rows], np.concatenate([own, simple, simple * np.linspace(-1.0, 1.0, simple.shape[-1])])
+    )
+    count = len(problem.raw)
+    steady, changing = problem.left(list(range(count - len(simple))))[0], problem.left(list(range(count)))[0]
+    share = 1.0 - changing / max(steady, 1e-300)
+    name = space.predictor.names[0]
+    if share > _MOSTLY:
+        return Misfit(name, "time", "friction or offset change with it", share, _MOSTLY, "always")
+    left = found.residual[0, rows]
+    squares = np.sort([float(np.mean(part**2)) for part in np.array_split(left, max(len(left) // _WHILE, 1))])[::-1]
+    few = float(np.sum(squares[: len(squares) // _FEW])) / max(float(np.sum(squares)), 1e-300)
+    if few > _BURSTS:
+        return Misfit(name, "burst in time", "what is left comes in bursts", few, _BURSTS, "always")
+    return None
