@@ -9,6 +9,7 @@ section times its strain by the encoders.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
@@ -117,7 +118,7 @@ def _follow_to(balance: BalanceVectors, x1_m: float, x2_m: float, duration_s: fl
     leaving = 1.0 + balance.s.creep_ratio_prev if v1_m_s < 0.0 else 1.0
     line_kernel.set_speed(line, 0, v1_m_s * leaving)
     line_kernel.set_speed(line, 1, v2_m_s)
-    line_kernel.roll_on(line, duration_s, records.web(line).sample_time_s, line_kernel.LONGEST_STEP_S)
+    line_kernel.roll_on(line, duration_s, records.web(line).sample_time_s, inf)
     kernel.observe(*balance.web)
     line_kernel.set_speed(line, 0, v1_m_s)
     line_kernel.set_position(line, 0, x1_m)  # exactly: no drift from adding up

@@ -18,6 +18,8 @@ both s. Positions, speeds, masses and forces are those at the web. Stepping func
 
 from __future__ import annotations
 
+from math import inf
+
 from hilbench.compiled import COUNT, VECTOR, Vector, compiled, entry_point, inlined, merged, noinline
 from hilbench.plant import drive_loops as loops
 from hilbench.plant import motor_laws as motors
@@ -67,7 +69,9 @@ def advance_line(line: LineArrays, samples: int, counted: bool) -> None:
     for j in range(m):
         records.drive(line, j).mean_Nm = 0.0
     for _ in range(samples):
-        if reports:
+        if integration == lay.HELD:
+            pass
+        elif reports:
             _sample_erring_drives(line)
         else:
             for j in range(m):
@@ -78,12 +82,16 @@ def advance_line(line: LineArrays, samples: int, counted: bool) -> None:
             laws.put_step_factors(line, t, h)
             if spliced:
                 _follow_pieces(line, t, h)
+            if integration == lay.HELD:
+                motion.integrate(line, t, h, False, True)
+                motion.accept(line)
+                continue
             # Without gear play and a sticking roller an event shows in the speeds at the step's end.
             may_step = integration != lay.WITH_PLAY
             for i in range(line.n):
                 may_step &= not (motion.sticks(line, i) or motion.is_at_stop(line, i))
             if may_step and integration == lay.USUAL and counted:
-                motion.integrate(line, t, h, True)
+                motion.integrate(line, t, h, True, False)
             elif may_step and integration == lay.USUAL:
                 motion.integrate_usual(line, t, h)
             elif may_step:
@@ -93,6 +101,8 @@ def advance_line(line: LineArrays, samples: int, counted: bool) -> None:
             else:
                 events.step_with_events(line, t, h)
         line.s[lay.S_COUNT] += 1.0
+        if integration == lay.HELD:
+            continue
         for j in range(m):
             line.s[records.past(line, j) + int(line.s[lay.S_COUNT]) % lay.RING] = records.drive(line, j).torque_Nm
         if reports:
@@ -199,10 +209,13 @@ def enter(line: LineArrays) -> None:
         line.w[j] = line.s[lay.S_Y + j]
     for j in range(k):
         records.part(line, j).length_rate_m_s = line.u[lay.U_MOTORS + m * lay.UM_SIZE + j]
-    period, substeps = web.sample_time_s, web.substeps
-    motion.set_masses(line, time_s(line))
-    integration, reports = lay.USUAL, False
+    period, substeps, held = web.sample_time_s, web.substeps, True
     for i in range(n):
+        held &= records.axis(line, i).roller_mass_kg == inf
+    integration, reports = lay.HELD if held else lay.USUAL, False
+    if not held:
+        motion.set_masses(line, time_s(line))
+    for i in range(0 if held else n):
         axis = records.axis(line, i)
         reports |= motors.is_any(axis.inertia_step, 1)
         if axis.resonance.inertia_share != 0.0:
@@ -222,12 +235,15 @@ def enter(line: LineArrays) -> None:
     for j in range(m):
         motor, part = records.motor(line, j), records.part(line, j)
         reports |= laws.has_feed_forward(motor) or motor.encoder_error.amplitude_rad != 0.0
+        if held:
+            continue
         part.kp = motor.kp * (1.0 + motor.drive_gain.kp_relative_change)
         part.ki = motor.ki * (1.0 + motor.drive_gain.ki_relative_change)
         part.current_s = laws.current_loop_s(motor)
         part.lag_share = part.current_s * (1.0 - loops.current_decay(period, part.current_s)) / period
     call.reports = 1.0 if reports else 0.0
-    motion.set_decays(line, period / substeps)
+    if not held:
+        motion.set_decays(line, period / substeps)
 
 
 @compiled

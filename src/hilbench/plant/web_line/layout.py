@@ -151,10 +151,12 @@ PART: Final = record_type(
     "lag_share",  # share of a torque's distance to its command in its mean over a sample time
 )
 PART_SIZE: Final = PART.itemsize // 8
-#: Integration modes: the usual step; the general one, with every force; gear play, whose contact is an event.
+#: Integration modes: the usual step; the general one, with every force; gear play, whose contact is an event; the web
+#: alone, where every roller is held.
 USUAL: Final = 0.0
 GENERAL: Final = 1.0
 WITH_PLAY: Final = 2.0
+HELD: Final = 3.0
 
 
 def column(kind: np.dtype[Any], field: str) -> int:

@@ -58,10 +58,7 @@ def _pull(loaded: LoadedLine, lead_s: float) -> None:
     of, guess = loaded.of, loaded.guess
     line = line_vectors.arrays(of.line)
     ahead = records.line_of(line.p, guess, line.u, line.w)
-    for j in range(len(guess)):
-        guess[j] = line.s[j]
-    if lead_s > 0.0:
-        line_kernel.predict(line, ahead, of, lead_s)
+    line_kernel.predict(line, ahead, of, lead_s, 0.0)
     kernel.observe(line.p, guess, line.u, line.w, loaded.ahead)
     for j in range(len(loaded.torques)):
         load, i = loaded.loads[j], int(loaded.loads[j].roller)

@@ -36,16 +36,19 @@ BROKEN = Quantity("broken", "1", "1: the web has torn and pulls no more; 0: it i
 
 def hold(p: Vector) -> None:
     """Make the driven rollers of a line immovable, in its parameters (P,), except by measured motion."""
-    for axis in lay.Layout.of(p).axis_rows(p):
+    layout = lay.Layout.of(p)
+    for axis, motor in zip(layout.axis_rows(p), layout.motor_rows(p), strict=False):  # load motors have no axis
         if axis.number > 0.0:
             axis.motor_mass_kg, axis.roller_mass_kg = 0.0, np.inf
             axis.wound_kg = axis.backlash.gap_rad = 0.0
+            motor.feed_forward.fill(0.0)
 
 
 def step_s(parameters: ModelParameters) -> float:
-    """Longest integration step of a line on measured motion."""
-    sample_s = float(lay.pack(parameters)[lay.W_SAMPLE_TIME_S])
-    return min(sample_s / needed_substeps(parameters), line_kernel.LONGEST_STEP_S)
+    """Longest integration step that the free rollers of a line on measured motion allow; infinite without any."""
+    if parameters.stations is None:
+        return np.inf
+    return float(lay.pack(parameters)[lay.W_SAMPLE_TIME_S]) / needed_substeps(parameters)
 
 
 class PerturbedCopies:

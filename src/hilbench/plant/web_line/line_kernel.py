@@ -36,16 +36,18 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.records import LineArrays
 
-#: Longest integration step unless a roller needs a shorter one; the error of a step is of order (v·h/L)^5/120, below
-#: rounding on the demonstrator.
-LONGEST_STEP_S: Final = 0.001
+#: Longest integration step unless a free roller needs a shorter one, as a share of the time L/v in which the strain of
+#: a span follows: the error of a step, of order share^5/120 of the change of strain, is below rounding.
+STEP_SHARE: Final = 0.0061
+#: Most steps for that in a sample time: speeds beyond, of hundreds of m/s, are those of a model that runs away.
+MOST_STEPS: Final = 100.0
 #: Averaging time of the driven rollers' acceleration: positions are quantized, and load motors must not amplify their
 #: own oscillation by it. Less acceleration counts as none, m/s².
 ACCELERATION_S: Final = 0.05
 LEAST_M_S2: Final = 0.02
 
 #: Motion history: whether the rollers have been followed at all, over which time; the line's sample time, and the
-#: longest integration step.
+#: longest integration step that its free rollers allow.
 HISTORY: Final = record_type("known", "duration_s", "sample_s", "step_s")
 #: A driven roller: its mean speed in that time, its acceleration (0 where all rollers are driven), the speed at which
 #: it starts.
@@ -101,12 +103,19 @@ def roll_on(line: LineArrays, duration_s: float, sample_s: float, step_s: float)
     """Advance a line at the present speeds of its driven rollers.
 
     `sample_s`: sample time of the line's clock; samples of the drives, which are off, are adapted to any duration.
-    `step_s`: longest integration step.
+    `step_s`: longest integration step that free rollers allow; infinite without any, where no drive need be sampled.
     """
-    web, s, samples = records.web(line), line.s, max(round(duration_s / sample_s), 1)
+    web, s, samples = records.web(line), line.s, 1 if step_s == np.inf else max(round(duration_s / sample_s), 1)
     time_s = s[lay.S_COUNT] * sample_s
     web.sample_time_s = duration_s / samples
-    web.substeps = np.ceil(duration_s / samples / step_s - 1e-9)
+    for j in range(line.k):
+        v_m_s, length_m = s[lay.S_Y + line.n + j + 1], s[lay.S_Y + 4 * line.n + line.k + j]
+        step_s = min(step_s, STEP_SHARE * length_m / max(abs(v_m_s), 1e-9))
+    if splice_laws.has_splice(web, records.pieces(line)):  # it comes in over a step
+        step_s = min(step_s, sample_s)
+    web.substeps, needed = 1.0, np.ceil(web.sample_time_s / step_s - 1e-9)
+    if needed > 1.0:
+        web.substeps = min(needed, MOST_STEPS)
     s[lay.S_COUNT] = time_s / web.sample_time_s
     kernel.advance(line.p, line.s, line.u, line.w, samples)
     s[lay.S_COUNT] = (time_s + duration_s) / sample_s
@@ -149,11 +158,18 @@ def follow_to(line: LineArrays, of: FollowedLine, x: Vector, further: Vector, du
 
 
 @inlined
-def predict(line: LineArrays, guess: LineArrays, of: FollowedLine, lead_s: float) -> None:
-    """Advance a `guess` of the line's state by `lead_s`, with its driven rollers' present motion."""
-    for i in range(len(of.rows)):
-        of.rollers[i].v_m_s = line.s[lay.S_Y + line.n + of.rows[i]]
-    turn(guess, of.rows, of.rollers, of.history, lead_s)
+def predict(line: LineArrays, guess: LineArrays, of: FollowedLine, lead_s: float, late_s: float) -> None:
+    """Copy the state of a line into a `guess`, without past torques, and advance it by `lead_s` with its driven
+    rollers' present motion; its clock is `late_s` behind that of the line at first."""
+    for j in range(records.past(line, 0)):
+        guess.s[j] = line.s[j]
+    for j in range(records.past(line, line.m), len(guess.s)):
+        guess.s[j] = line.s[j]
+    guess.s[lay.S_COUNT] -= late_s / of.history.sample_s
+    if lead_s > 0.0:
+        for i in range(len(of.rows)):
+            of.rollers[i].v_m_s = line.s[lay.S_Y + line.n + of.rows[i]]
+        turn(guess, of.rows, of.rollers, of.history, lead_s)
 
 
 @compiled

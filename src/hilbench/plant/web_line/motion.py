@@ -204,21 +204,22 @@ def _go(line: LineArrays, j: int, rate: float, weight: float, ahead: float) -> N
 
 
 @inlined
-def _go_axis(line: LineArrays, i: int, strain_prev: float, weight: float, ahead: float, slides: bool) -> None:
+def _go_axis(
+    line: LineArrays, i: int, strain_prev: float, weight: float, ahead: float, slides: bool, held: bool
+) -> None:
     """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play, or by a twisting
     shaft; it may stick, a carriage be at a stop, and a roller without 1/mass keeps its speed.
 
     `weight`, `ahead` (s): of this stage of the Runge-Kutta step. `slides`: compile-time constant, true if no gear has
-    play, no roller sticks and no rare force acts, which saves the checks.
+    play, no roller sticks and no rare force acts, which saves the checks; `held`: one, true if every roller keeps its
+    speed.
     """
     n, y, part, axis = line.n, records.block(line, lay.STAGE), records.part(line, i), records.axis(line, i)
     v = line.w[y + n + i]
-    of_mass = part.per_kg if slides else per_kg(line, i, y)
-    if of_mass == 0.0:
+    of_mass = part.per_kg if slides or held else per_kg(line, i, y)
+    if held or of_mass == 0.0:
         _go(line, i, v, weight, ahead)
-        _go(line, n + i, 0.0, weight, ahead)
         _go(line, 2 * n + i, v, weight, ahead)
-        _go(line, 3 * n + i, 0.0, weight, ahead)
         return
     twists = not slides and axis.resonance.inertia_share != 0.0
     drive = motor_force_N(line, i, line.w[y + (i if twists else 2 * n + i)], slides)
@@ -242,15 +243,15 @@ def _go_axis(line: LineArrays, i: int, strain_prev: float, weight: float, ahead:
 
 
 @merged
-def _stage(line: LineArrays, t: float, weight: float, ahead: float, slides: bool) -> None:
+def _stage(line: LineArrays, t: float, weight: float, ahead: float, slides: bool, held: bool) -> None:
     """Rates at time t for stage block and torques, and the next stage `ahead` (s) from now.
 
-    `weight` of these rates in the step's sum; `slides` as in `_go_axis`.
+    `weight` of these rates in the step's sum; `slides`, `held` as in `_go_axis`.
     """
     n, k, entering = line.n, line.k, strain_prev(line, t)
     web(line, t, entering, records.block(line, lay.STAGE), slides)
     for i in range(n):
-        _go_axis(line, i, entering, weight, ahead, slides)
+        _go_axis(line, i, entering, weight, ahead, slides, held)
     for j in range(k):
         part = records.part(line, j)
         _go(line, 4 * n + j, part.rate_m_s, weight, ahead)
@@ -276,28 +277,30 @@ def set_decays(line: LineArrays, h: float) -> None:
 
 
 @merged
-def integrate(line: LineArrays, t: float, h: float, slides: bool) -> None:
+def integrate(line: LineArrays, t: float, h: float, slides: bool, held: bool) -> None:
     """Classical Runge-Kutta step: quantities at its end in the stage block, torques there; none accepted yet.
 
-    So a step with an event in it can be repeated, shorter. `slides` as in `_go_axis`.
+    So a step with an event in it can be repeated, shorter. `slides`, `held` as in `_go_axis`; held rollers have no
+    torques.
     """
-    w, size = line.w, records.block(line, lay.STAGE)
-    if records.call(line).decay_step_s != h:
+    w, size, motors = line.w, records.block(line, lay.STAGE), 0 if held else line.m
+    if not held and records.call(line).decay_step_s != h:
         set_decays(line, h)
     for j in range(size):
         w[size + j] = w[j]
         w[2 * size + j] = 0.0
-    torques_now(line)
-    _stage(line, t, 1.0, 0.5 * h, slides)
-    for j in range(line.m):
+    if not held:
+        torques_now(line)
+    _stage(line, t, 1.0, 0.5 * h, slides, held)
+    for j in range(motors):
         drive, part = records.drive(line, j), records.part(line, j)
         part.torque_Nm = loops.torque_after(drive.torque_Nm, drive.command_Nm, part.decay_half)
-    _stage(line, t + 0.5 * h, 2.0, 0.5 * h, slides)
-    _stage(line, t + 0.5 * h, 2.0, h, slides)
-    for j in range(line.m):
+    _stage(line, t + 0.5 * h, 2.0, 0.5 * h, slides, held)
+    _stage(line, t + 0.5 * h, 2.0, h, slides, held)
+    for j in range(motors):
         drive, part = records.drive(line, j), records.part(line, j)
         part.torque_Nm = loops.torque_after(drive.torque_Nm, drive.command_Nm, part.decay_full)
-    _stage(line, t + h, 1.0, h, slides)
+    _stage(line, t + h, 1.0, h, slides, held)
     for j in range(size):
         w[size + j] = w[j] + h / 6.0 * w[2 * size + j]
 
@@ -306,14 +309,14 @@ def integrate(line: LineArrays, t: float, h: float, slides: bool) -> None:
 def integrate_usual(line: LineArrays, t: float, h: float) -> None:
     """`integrate` for any line in the usual mode that has no roller that sticks."""
     noinline()
-    integrate(line, t, h, True)
+    integrate(line, t, h, True, False)
 
 
 @compiled
 def integrate_any(line: LineArrays, t: float, h: float) -> None:
     """`integrate` for any line in any mode."""
     noinline()
-    integrate(line, t, h, False)
+    integrate(line, t, h, False, False)
 
 
 @inlined

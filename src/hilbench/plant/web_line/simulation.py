@@ -23,8 +23,8 @@ from hilbench.compiled import (
     Vector,
     Wholes,
     arrays_in,
-    compiled,
     entry_point,
+    inlined,
     record_type,
 )
 from hilbench.compiled import records as array_of
@@ -70,14 +70,14 @@ class WebLoad(NamedTuple):
     times: Annotated[Any, TIMES]
 
 
-@compiled
+@inlined
 def _emulate_web(rig: LineArrays, load: WebLoad, b: int, row: int, out: Vector, at: int) -> None:
     """Cycle of line b on a rig, whose report is in `out` from `at` on; behind it tensions and strains, and sensors."""
     of = FollowedLine(
         LineVectors(load.web[b], load.states[b], load.u, load.w, load.seen), load.history, load.rollers, load.rows
     )
     line, guess, before = line_vectors.arrays(of.line), load.guess, max(row - 1, 0)
-    around, sample_s, times = records.boundary(line), load.history.sample_s, load.times
+    around, times = records.boundary(line), load.times
     if row == 0:
         load.history.known = load.history.duration_s = 0.0
         for i in range(rig.n):
@@ -92,7 +92,7 @@ def _emulate_web(rig: LineArrays, load: WebLoad, b: int, row: int, out: Vector, 
             records.axis(line, load.pushed[j]).force_N = load.forces[before, j] + load.more[j]
         line_kernel.follow_to(line, of, out[at : at + rig.n], load.further, times.cycle_s)
     # Steps of E are spread over the next cycle, so that what is found is continuous in their times.
-    records.web(line).substeps = sample_s / times.cycle_s
+    records.web(line).substeps = load.history.sample_s / times.cycle_s
     kernel.observe(*of.line)
     at += kernel.columns(rig)
     for j in range(2 * line.k):
@@ -101,11 +101,8 @@ def _emulate_web(rig: LineArrays, load: WebLoad, b: int, row: int, out: Vector, 
         axis, x = records.axis(line, load.sensors[j]), line.s[lay.S_Y + load.sensors[j]]
         out[at + 2 * line.k + j] = axis.radius_m * reels.radius_ratio(axis, x) if axis.reel_slope_per_m != 0.0 else x
     around.strain_prev, around.F_next_N = load.boundary[row, 0], load.boundary[row, 1]
-    for j in range(len(guess)):
-        guess[j] = line.s[j]
-    guess[lay.S_COUNT] -= times.lead_s / sample_s  # only the motion is predicted: the tension has the present E
     ahead = records.line_of(line.p, guess, line.u, line.w)
-    line_kernel.predict(line, ahead, of, times.lead_s)
+    line_kernel.predict(line, ahead, of, times.lead_s, times.lead_s)  # only the motion: the tension has the present E
     kernel.observe(line.p, guess, line.u, line.w, load.seen)
     for j in range(rig.n, rig.m):  # the torque for the measurement at the previous SYNC
         records.given(rig, j).setpoint = load.loads[int(records.motor(rig, j).axis)]
@@ -125,6 +122,8 @@ def simulate(
     for b in range(p.shape[0]):
         line = records.line_of(p[b], s[b], u, work)
         around = records.boundary(line)
+        if len(web) > 0:  # once a line, not once a row: it hands out 19 arrays
+            load = arrays_in(web, WebLoad)
         kernel.enter(line)
         for row in range(commands.shape[0]):
             around.strain_prev, around.F_next_N = boundary[row, 0], boundary[row, 1]
@@ -132,7 +131,7 @@ def simulate(
                 records.given(line, j).setpoint = commands[row, j]
             kernel.report(line, out, at)
             if len(web) > 0:
-                _emulate_web(line, arrays_in(web, WebLoad), b, row, out, at)
+                _emulate_web(line, load, b, row, out, at)
             elif len(shaft) > 0:
                 emulate_shaft(line, arrays_in(shaft, ShaftLoad), b, row, out, at)
             kernel.go_on(line, samples)

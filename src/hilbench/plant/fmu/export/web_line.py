@@ -47,7 +47,7 @@ def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: in
     for i in range(line.n):
         line_kernel.set_speed(line, i, records.given(line, i).setpoint)
     if duration > 0.0:
-        line_kernel.roll_on(line, duration, records.web(line).sample_time_s, line_kernel.LONGEST_STEP_S)
+        line_kernel.roll_on(line, duration, records.web(line).sample_time_s, inf)
     kernel.observe(p, s, u, w, out)
     line_kernel.put_moduli(line, out, kernel.columns(line))
     for i in range(line.n):
