@@ -122,10 +122,9 @@ def _descended(
             break
         pairs = zip(point.terms, parts(point.terms), strict=True)
         moved = [term.at(term.coordinates() + step[part]) for term, part in pairs]
-        trial = space.residual(moved)
-        if _Problem.square_of(white, trial, rows) < problem.square:
+        nearer = space.point(moved, timeless=timeless)  # at once, on all cores: nearly every step is an improvement
+        if _Problem.square_of(white, nearer.residual, rows) < problem.square:
             damping = max(0.2 * damping, 1e-9)
-            nearer = space.point(moved, trial, timeless=timeless)
             next_problem = _Problem(white, nearer, rows)
             if not next_problem.usable:
                 break

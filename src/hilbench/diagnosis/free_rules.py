@@ -16,10 +16,11 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from hilbench.arrays import Array
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.fit import TIME_SEARCH, Fit, OnsetResponses, around, fit, sums, with_best_time
+from hilbench.diagnosis.fit import TIME_SEARCH, Fit, OnsetResponses, fit, sums, with_best_time
 from hilbench.diagnosis.noise import Whitening, scaling
 from hilbench.diagnosis.predictor import deviations_of, torques_of
 from hilbench.diagnosis.proposals import Proposer
@@ -84,7 +85,7 @@ _ACTS_ALIKE: Final = 0.98
 #: Where play makes the sum of squares rough the strength is looked for beside the one that acts as strongly: up to
 #: which share of it, in how many steps, and how often ever closer.
 _CLOSEST_SHARE, _CLOSEST_STEPS, _CLOSEST_LEVELS = 0.1, 13, 5
-#: Share of a usual force with which its response is looked at; how far from a step's time, and in which steps, it is
+#: Share of a usual force with which its response is looked at; how far from a step's time, and how exactly, its time is
 #: looked for, s.
 _FORCE_SHARE: Final = 0.05
 _FORCE_SEARCH: Final = (0.02, 0.002)
@@ -650,16 +651,21 @@ class FreeRules:
         own = [white.apply(column)[:, rows].ravel() for column in point.derivatives]
         residual = white.apply(point.residual)[:, rows].ravel()
         probe_N = _FORCE_SHARE * self.proposer.sizes(None).force_N
-        best = (float("inf"), 0.0, 0.0)
-        for time_s in around(term.time_s + 0.5 * term.duration_s, *_FORCE_SEARCH):
+        tried: list[tuple[float, float, float]] = []
+
+        def square(time_s: float) -> float:
             pushed = space.residual_with_force(rest, probe_N, float(time_s))
             response = white.apply(point.residual - pushed)[:, rows].ravel() / probe_N
             columns = np.array([*own, response])
             theta, *_ = np.linalg.lstsq(columns.T, residual, rcond=None)
-            square = float(np.sum((residual - theta @ columns) ** 2))
-            best = min(best, (square, float(theta[-1]), float(time_s)))
-        close = sum(sums(space, white, current.residual))
-        return best[0] - close, best[1], best[2]
+            tried.append((float(np.sum((residual - theta @ columns) ** 2)), float(theta[-1]), float(time_s)))
+            return tried[-1][0]
+
+        middle_s = term.time_s + 0.5 * term.duration_s
+        bounds = max(middle_s - _FORCE_SEARCH[0], 0.0), middle_s + _FORCE_SEARCH[0]
+        minimize_scalar(square, bounds=bounds, method="bounded", options={"xatol": _FORCE_SEARCH[1]})
+        least, force_N, time_s = min(tried)
+        return least - sum(sums(space, white, current.residual)), force_N, time_s
 
     def _acting_alike(self, white: Whitening, current: Fit, k: int, other: Term, left: Array) -> Term | None:
         """Alternative to term k, as strong as that where the two act alike; None where they do not.

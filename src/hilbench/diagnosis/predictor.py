@@ -41,6 +41,11 @@ class Predictor(ABC):
         """Prediction in half the band of frequencies; None where all are compared."""
         return None
 
+    @property
+    def surrogate(self) -> Predictor:
+        """Cheaper prediction with nearly the same response to a change of parameters; itself where there is none."""
+        return self
+
     def floor(self, signal: int) -> float:
         """Standard deviation of the noise of a signal, from the recording alone."""
         return floor(self.measured[signal])

@@ -165,6 +165,7 @@ class Space:
     simulations: int = 0
     _base: Array = field(init=False)  #: the model's parameter vector
     _quick: Array = field(init=False)  #: of the measured (signals, n), what terms make of the quick part of the motion
+    _surrogate: Space | None = field(init=False, default=None)
     _known: dict[bytes, Array] = field(init=False, default_factory=dict)  #: latest predictions, by parameter vector
 
     def __post_init__(self) -> None:
@@ -275,8 +276,15 @@ class Space:
     def strengths(self, terms: list[Term], residual: Array, candidates: list[Term]) -> list[Array]:
         """Derivatives by the strength of each candidate (1 or 2 coordinates), added to a model with `terms`.
 
-        `residual` is the one of that model.
+        `residual` is the one of that model. By the prediction's surrogate: they choose what is then fitted.
         """
+        if self.predictor.surrogate is not self.predictor:
+            if self._surrogate is None:
+                self._surrogate = Space(self.model, self.predictor.surrogate, self.period_s)
+            near = self._surrogate
+            responses = near.strengths(terms, near.residual(terms), candidates)
+            self.simulations, near.simulations = self.simulations + near.simulations, 0
+            return responses
         looked_at = [(one.neutral(), k, probe) for one in candidates for k, probe in enumerate(one.probes())]
         found = iter(self.residuals([[*terms, neutral.stepped(k, probe)] for neutral, k, probe in looked_at]))
         return [np.array([(residual - next(found)) / probe for probe in one.probes()]) for one in candidates]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
+from functools import cached_property
 from itertools import pairwise
 from typing import Final
 
@@ -114,6 +115,15 @@ class FreeRun(Predictor):
         if data.period_s > 1.5 * self._cycle_s:
             self._choose_hold(data)
         self._data = data
+
+    @cached_property
+    def surrogate(self) -> FreeRun:
+        """Free run of the machine itself, without the emulation, which is made to respond as the machine does."""
+        if self.emulation is None or self._model.stations is not None:
+            return self
+        other = copy(self)
+        other.emulation, other._slow = None, {}
+        return other
 
     def with_force(self, force_N: float, time_s: float) -> FreeRun:
         """Free run with a force against the motion of the last roller from a time on."""
