@@ -7,12 +7,12 @@ same moment. Received frames show masters that claim nothing: foreign ones, and 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from types import MappingProxyType
 from typing import Final
 
 from hilbench.can import claims, hub_client
-from hilbench.can.claims import MASTER, Holder, bringer_of, player_of
+from hilbench.can.claims import MASTER, bringer_of, player_of
 from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.identifiers import FUNCTION_CODE, SDO_ANSWER
@@ -28,9 +28,10 @@ _PATIENCE_S: Final = 3.0
 _NO_MASTER: Final = "a bus without a master; it ends with its program (Ctrl-C there), hilbench estop stops its drives"
 
 
-def master_of(bus: BusAddress) -> Holder | None:
-    """Program on this machine that is the master of a bus; None: none has claimed it."""
-    return claims.holder(bus.place, MASTER)
+def master_of(bus: BusAddress) -> str | None:
+    """Program on this machine that is the master of a bus, for a person; None: none has claimed it."""
+    holder = claims.holder(bus.place, MASTER)
+    return None if holder is None else str(holder)
 
 
 @contextmanager
@@ -86,12 +87,9 @@ def nodes_of_ours(bus: BusAddress, node_ids: Collection[int], what: str, *, by_b
 def _refuse_answers(bus: BusAddress, nodes: Mapping[int, str]) -> None:
     if not nodes:
         return
-    link = _open(bus)
-    try:
+    with closing(_open(bus)) as link:
         link.set_filters([(SDO_ANSWER, FUNCTION_CODE)])
         there = sorted(present(link, nodes, _ANSWER_S))
-    finally:
-        link.close()
     if there:
         raise UnusableInputError(
             str(bus), f"node {there[0]} answers already, expected none with that id ({nodes[there[0]]})"
@@ -99,11 +97,8 @@ def _refuse_answers(bus: BusAddress, nodes: Mapping[int, str]) -> None:
 
 
 def _listen(bus: BusAddress, master_id: int) -> list[str]:
-    link = _open(bus)
-    try:
+    with closing(_open(bus)) as link:
         return listen_for_master(link, LISTEN_S, master_id)
-    finally:
-        link.close()
 
 
 def _open(bus: BusAddress) -> Link:

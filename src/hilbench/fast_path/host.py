@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from typing import Protocol
 
 from hilbench.can.embedded import EmbeddedLink
@@ -131,14 +132,11 @@ def run_devices(
     Returns how many frames were lost because they were not read in time (None: unknown on this bus). Raises BusError
     when the bus is lost.
     """
-    link = open_link(bus)
-    try:
+    with closing(open_link(bus)) as link:
         host = DeviceHost(link, *hosted)
         fast_path = fast_path_host(host, link)
         with kept_ready(process, say):
             host.run(stop, None if fast_path is None else fast_path.serve)
-    finally:
-        link.close()
     return link.dropped
 
 

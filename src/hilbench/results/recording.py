@@ -11,6 +11,7 @@ from __future__ import annotations
 import gzip
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -213,12 +214,9 @@ def write_pieces(of: MdfPieces, pieces: Iterable[Mapping[str, NDArray[Any]]], ta
 
 def _write_mdf(source: _Source, path: Path) -> None:
     start = source.start_time or NO_START_TIME
-    writer = MdfWriter(path, source.columns, start, source.comment, thinned=source.thinned)
-    try:
+    with closing(MdfWriter(path, source.columns, start, source.comment, thinned=source.thinned)) as writer:
         for piece in source.pieces:
             writer.append(piece)
-    finally:
-        writer.close()
 
 
 def _write_csv(source: _Source, path: Path) -> None:

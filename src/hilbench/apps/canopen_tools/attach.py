@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,9 +47,7 @@ class BusSession(ExitStack):
 
     def link(self) -> Link:
         """Open a link of its own."""
-        link = open_link(self.bus)
-        self.callback(link.close)
-        return link
+        return self.enter_context(closing(open_link(self.bus)))
 
     def master(self, timeout_s: float) -> Master:
         """Open what reads and writes objects: of any node by raw bytes, of known ones by their object dictionary."""

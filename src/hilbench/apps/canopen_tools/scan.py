@@ -61,10 +61,8 @@ def scan(
             named = {part.node.eds: part.node.node_id for part in bench.parts}
             files = [EdsFile(path, identity(load_eds(path, node_id))) for path, node_id in named.items()] + files
         link, reader = on.link(), on.master(_SDO_TIMEOUT_S)
-        claimed_by = master_of(address)
-        known = None if claimed_by is None else str(claimed_by)
-        rate = bitrate_of(address)
-        found = scan_bus(link, reader, files, listen, on.master_id, bitrate=rate, claimed_by=known, ask=ask)
+        claimed_by, rate = master_of(address), bitrate_of(address)
+        found = scan_bus(link, reader, files, listen, on.master_id, bitrate=rate, claimed_by=claimed_by, ask=ask)
     nameless = []
     if lss and ask and found.master is None:
         with LssMaster(open_python_can(address), _LSS_TIMEOUT_S) as lss_master:

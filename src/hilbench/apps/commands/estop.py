@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 
 from hilbench.can import claims
@@ -113,13 +114,10 @@ def everything() -> tuple[list[Target], bool]:
 def _stop(target: Target) -> str:
     """Why its emergency stop cannot be relied on; empty: it can."""
     try:
-        link = open_link(target.address())
-        try:
+        with closing(open_link(target.address())) as link:
             link.set_filters([(HEARTBEAT, FUNCTION_CODE)])
             send_emergency_stop(link)
             moving = _still_operational(link)
-        finally:
-            link.close()
     except (HilbenchError, OSError) as error:
         return f"NOT STOPPED: {error}"
     if moving:

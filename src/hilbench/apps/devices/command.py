@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -82,8 +82,7 @@ def simulate_drive(
         ]
         for simulated in nodes:
             _introduce(simulated)
-        link = open_link(address)
-        resources.callback(link.close)
+        link = resources.enter_context(closing(open_link(address)))
         time.sleep(acts.boot_s)
         with kept_ready(None, log):
             DeviceHost(link, *hosted(nodes, clock)[0]).run(stop)

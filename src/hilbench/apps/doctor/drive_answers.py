@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -72,12 +72,8 @@ def read_stand(
             return ask_all(reader, config), simulated
     with ExitStack() as resources:
         bus = config.bus_address.as_it_runs()
-        link = open_link(bus)
-        resources.callback(link.close)
-        claimed = master_of(bus)
-        master = master_at_work(
-            listen(link, _LISTEN_S), None if claimed is None else str(claimed), config.master.node_id
-        )
+        link = resources.enter_context(closing(open_link(bus)))
+        master = master_at_work(listen(link, _LISTEN_S), master_of(bus), config.master.node_id)
         if master is not None:
             raise UnusableInputError(str(bus), f"another master is at work: {master}, expected none: nodes are asked")
         fresh: frozenset[str] = frozenset()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,13 +86,11 @@ def _stations(subject: Subject, bus: BusAddress, announce: Callable[[str], None]
 
 
 def _on_bus(subject: Subject, bus: BusAddress, announce: Callable[[str], None], resources: ExitStack) -> list[Finding]:
-    link = open_link(bus)
-    resources.callback(link.close)
+    link = resources.enter_context(closing(open_link(bus)))
     announce(f"listen on {bus}")
     received = listen(link, _LISTEN_S)
     findings = [ok(Check.BUS, str(bus), "opens")]
-    master = master_of(bus)
-    claimed_by = None if master is None else str(master)
+    claimed_by = master_of(bus)
     findings += check_received(received, subject.nodes, subject.master_id, str(bus), claimed_by)
     if not subject.nodes or claimed_by or received.signs_of_master(subject.master_id):
         return findings

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -79,8 +79,7 @@ def monitor(
     loaded = load_config(config, bus=bus, pace=pace).config
     picture, address = BusPicture(loaded), loaded.bus_address.as_it_runs()
     with ExitStack() as resources:
-        link = open_link(address)
-        resources.callback(link.close)
+        link = resources.enter_context(closing(open_link(address)))
         if json:
             _print(picture, link, duration)
             return

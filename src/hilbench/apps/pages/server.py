@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -168,8 +168,5 @@ def _bench(config: BenchConfig, runs: Path) -> Iterator[Viewers]:
     listener = Listener(config, lambda: open_link(address()), partial(LiveRun.on, runs))
     changes = ChangeRequests(config, lambda: SdoClient(open_python_can(address(), SDO_ANSWERS), PATIENCE_S))
     listener.start()
-    try:
+    with closing(listener), closing(changes):
         yield Viewers(listener, Controls(listener, changes))
-    finally:
-        changes.close()
-        listener.close()

@@ -7,6 +7,7 @@ import signal
 import socket
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from multiprocessing.connection import Connection
 
 from hilbench.apps.streams.sinks import Sink, open_sink, rows_of
@@ -41,15 +42,13 @@ def main() -> None:
 def take(bench: socket.socket, sink: Sink, signals: Sequence[Signal]) -> None:
     """Hand every sample to the sink, until there are no more."""
     size, rest = 8 * len(signals), b""
-    try:
+    with closing(sink):
         while piece := bench.recv(_PIECE):
             data = rest + piece
             whole = len(data) - len(data) % size
             for row in rows_of(data[:whole], len(signals)):
                 sink.take(row)
             rest = data[whole:]
-    finally:
-        sink.close()
 
 
 if __name__ == "__main__":

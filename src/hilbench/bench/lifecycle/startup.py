@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -115,11 +115,9 @@ def bring_up(
             _check_timing(config)
         here = _in_process(config) if participants is Participants.IN_PROCESS else None
         inside = here.open_link() if here else None
-        link = inside or open_link(config.bus_address)
-        resources.callback(link.close)
+        link = resources.enter_context(closing(inside or open_link(config.bus_address)))
         bus = here.open_python_can() if here else open_python_can(config.bus_address)
-        master = Master(bus, config.master.sdo_timeout_s)
-        resources.callback(master.close)
+        master = resources.enter_context(Master(bus, config.master.sdo_timeout_s))
         nodes.introduce(master)
         with _watched(link, tap, master.sent):
             children: list[ChildProcess] = []

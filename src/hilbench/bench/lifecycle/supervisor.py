@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 from hilbench.can.link import Link
@@ -56,11 +57,8 @@ def supervise(watch: Watch) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: asked_to_end.set())
     threading.Thread(target=_follow, args=(bench_lost,), name="follow-bench", daemon=True).start()
-    link = open_link(watch.bus)
-    try:
+    with closing(open_link(watch.bus)) as link:
         watch_heartbeat(link, watch, asked_to_end, bench_lost)
-    finally:
-        link.close()
 
 
 def _follow(bench_lost: threading.Event) -> None:
