@@ -92,9 +92,10 @@ class Device:
         self.emergency, self.clear_emergency = self._emcy.raise_error, self._emcy.clear_error
         self.keep_emergency, self.acknowledge_emergency = self._emcy.keep, self._emcy.acknowledge
         self.producer = HeartbeatProducer(self._store, clock.now_ns)  #: heartbeat producer of the device
-        self.consumer = HeartbeatConsumer(self._store, clock.now_ns, self._heartbeat_lost, self._heartbeat_back)
-        lost, back = partial(self._heartbeat_lost, _GUARD), partial(self._heartbeat_back, _GUARD)
-        self._guarding = NodeGuarding(self._store, clock.now_ns, lost, back)
+        back = partial(self._emcy.clear_error, HEARTBEAT_LOST)
+        self.consumer = HeartbeatConsumer(self._store, clock.now_ns, self._heartbeat_lost, back)
+        guard_lost, guard_back = partial(self._heartbeat_lost, _GUARD), partial(back, _GUARD)
+        self._guarding = NodeGuarding(self._store, clock.now_ns, guard_lost, guard_back)
         received, sent = (
             [index for index in indices if self.has(index, 1) and self.has(index + MAPPING)]
             for indices in (RPDO_INDICES, TPDO_INDICES)
@@ -326,9 +327,6 @@ class Device:
             self._enter(NmtState.PRE_OPERATIONAL)
         elif behaviour == _TO_STOPPED:
             self._enter(NmtState.STOPPED)
-
-    def _heartbeat_back(self, node_id: int) -> None:
-        self._emcy.clear_error(HEARTBEAT_LOST, node_id)
 
     def _communication_error(self, code: int, source: int) -> None:
         """EMCY, and the application's reaction (6007h)."""

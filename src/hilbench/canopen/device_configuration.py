@@ -20,7 +20,7 @@ from hilbench.canopen.data_types import DataType, Value, data_type
 from hilbench.canopen.identifiers import MAPPING, NODE_ID, pdo_name
 from hilbench.canopen.master import Master
 from hilbench.canopen.object_store import NO_DATA
-from hilbench.canopen.sdo_client import Refusal, no_answer
+from hilbench.canopen.sdo_client import Refusal, reason_of
 from hilbench.canopen.storage import NO_PARAMETERS
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import content, usable, write_whole, written_whole
@@ -159,7 +159,7 @@ def write_device(
                 raise BenchFaultError(
                     f"node {node_id}: no answer when {key[0]:04X}h sub {key[1]} was written ({number} of {len(writes)})"
                 ) from error
-            failed[key] = no_answer(error, master.timeout_s)
+            failed[key] = reason_of(error, master.timeout_s)
         progress(number, len(writes))
     last = {write.key: write.data for write in writes}
     for key, data in last.items():

@@ -16,7 +16,7 @@ from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.identifiers import COB_ID, HEARTBEAT, INVALID, MAPPING, NMT, NO_REMOTE_REQUEST, NmtCommand
 from hilbench.canopen.pdo import PdoMap
-from hilbench.canopen.sdo_client import Refusal, SdoClient, no_answer
+from hilbench.canopen.sdo_client import SdoClient, reason_of
 from hilbench.errors import BenchFaultError, BusError, one_line
 
 
@@ -238,8 +238,5 @@ class Master(SdoClient):
     def _fault(
         self, node_id: int, variable: ODVariable, doing: str, error: Exception, time_out_s: float | None = None
     ) -> BenchFaultError:
-        if isinstance(error, canopen.SdoAbortedError):
-            reason = str(Refusal(error.code))
-        else:
-            reason = no_answer(error, time_out_s or self.timeout_s)
+        reason = reason_of(error, time_out_s or self.timeout_s)
         return BenchFaultError(f"{self._place(node_id, variable)}: {doing} it: {reason}")

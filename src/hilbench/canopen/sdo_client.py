@@ -57,8 +57,10 @@ class Refusal:
         return f"abort {self.code:08X}h ({SdoAbortedError.CODES.get(self.code, 'unknown code')})"
 
 
-def no_answer(error: Exception, timeout_s: float) -> str:
-    """Reason of a transfer that has failed without an abort: no answer, or a wrong one."""
+def reason_of(error: Exception, timeout_s: float) -> str:
+    """Reason of a transfer that has failed: an abort, no answer, or a wrong one."""
+    if isinstance(error, SdoAbortedError):
+        return str(Refusal(error.code))
     text = str(error).rstrip(".")
     return f"no answer within {timeout_s:g} s" if text.startswith("No SDO response") else f"wrong answer: {text}"
 

@@ -345,15 +345,13 @@ class _Object:
 
 def _bytes_of(master: Master, node_id: int, key: tuple[int, int]) -> bytes:
     """Content of an object that is in no EDS file. Raises BenchFaultError."""
-    from hilbench.canopen.sdo_client import Refusal, SdoAbortedError, SdoCommunicationError, no_answer
+    from hilbench.canopen.sdo_client import SdoAbortedError, SdoCommunicationError, reason_of
 
     try:
         return master.upload(node_id, *key)
-    except SdoAbortedError as error:
-        reason = str(Refusal(error.code))
-    except SdoCommunicationError as error:
-        reason = no_answer(error, master.timeout_s)
-    raise BenchFaultError(f"node {node_id}, {key[0]:04X}h:{key[1]}: reading it: {reason}")
+    except (SdoAbortedError, SdoCommunicationError) as error:
+        reason = reason_of(error, master.timeout_s)
+        raise BenchFaultError(f"node {node_id}, {key[0]:04X}h:{key[1]}: reading it: {reason}") from error
 
 
 def _object(on: BusSession, name: str, master: Master, node_id: int, node_name: str, od: ObjectDictionary) -> _Object:

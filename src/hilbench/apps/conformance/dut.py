@@ -194,16 +194,20 @@ class DeviceUnderTest:
     def exchange(self, request: bytes) -> bytes | None:
         """The answer to an SDO request; None: there is none. An answer that is late is not taken for the next one's."""
         names_object = request[0] >> 5 in _NAMES_OBJECT and len(request) == _SDO_BYTES
-        self._received += [received for received in self.wire.listen(0.0) if received.can_id != self._answer_id]
+        self._answers(0.0)
 
         def answers(received: Frame) -> bool:
             return received.can_id == self._answer_id and (not names_object or received.data[1:4] == request[1:4])
 
         self.send(SDO_REQUEST + self.node_id, request)
-        found = self.wire.listen(_ANSWER_S, answers)
+        replies = self._answers(_ANSWER_S, answers)
+        return replies[-1] if replies else None
+
+    def _answers(self, duration_s: float, until: Callable[[Frame], bool] | None = None) -> list[bytes]:
+        """Answers to SDO requests in this time; other frames are kept for the next look."""
+        found = self.wire.listen(duration_s, until)
         self._received += [received for received in found if received.can_id != self._answer_id]
-        replies = [received for received in found if received.can_id == self._answer_id]
-        return replies[-1].data if replies else None
+        return [received.data for received in found if received.can_id == self._answer_id]
 
     def ask(self, what: str, request: str, *expected: str) -> bytes:
         """A request whose answer is one of the expected ones; what was answered, empty when there is none."""
@@ -222,9 +226,7 @@ class DeviceUnderTest:
         """Frames of a block that come without a request each."""
         found: list[bytes] = []
         while len(found) < count:
-            received = self.wire.listen(_ANSWER_S, lambda received: received.can_id == self._answer_id)
-            answers = [each.data for each in received if each.can_id == self._answer_id]
-            self._received += [each for each in received if each.can_id != self._answer_id]
+            answers = self._answers(_ANSWER_S, lambda received: received.can_id == self._answer_id)
             if not answers:
                 break
             found += answers

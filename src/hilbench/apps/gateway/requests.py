@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import re
 import shlex
 from collections.abc import Callable
@@ -13,7 +12,7 @@ from functools import partial
 from math import isinf
 from typing import Final
 
-from hilbench.canopen.data_types import DataType, Value, data_type
+from hilbench.canopen.data_types import DataType, Value
 
 _LINE: Final = re.compile(r"^\s*\[\s*([0-9]{1,10}|0x[0-9A-Fa-f]{1,8})\s*\]\s*(.*)$")
 _MOST: Final = 0xFFFF_FFFF
@@ -117,10 +116,26 @@ def _split(text: str) -> list[str]:
 
 @dataclass(frozen=True)
 class TextForm:
-    """Text format of the values of a data type."""
+    """Text format of the values of a data type, of `width` bytes where that is fixed; `problem`: what a text that is
+    none of them is called in messages."""
 
-    parse: Callable[[str], bytes]
-    show: Callable[[bytes], str]
+    to_bytes: Callable[[str], bytes]
+    to_text: Callable[[bytes], str]
+    width: int | None = None
+    problem: str = "'{:.40}' is no value of this data type"
+
+    def parse(self, text: str) -> bytes:
+        """Bytes of a value. Raises RequestError."""
+        try:
+            return self.to_bytes(text)
+        except (ValueError, OverflowError) as error:
+            raise RequestError(GatewayError.SYNTAX, self.problem.format(text)) from error
+
+    def show(self, data: bytes) -> str:
+        """Text of a value. Raises RequestError for bytes of another length."""
+        if self.width not in (None, len(data)):
+            raise RequestError("0x06070010", f"{len(data)} bytes, expected {self.width} of this data type")
+        return self.to_text(data)
 
 
 def form(name: str) -> TextForm:
@@ -131,52 +146,22 @@ def form(name: str) -> TextForm:
         raise RequestError(GatewayError.SYNTAX, f"data type '{name}', expected one of {', '.join(_FORMS)}") from None
 
 
-def _parse(code: int, text: str) -> bytes:
-    kind = data_type(code)
-    try:
-        value = float(text) if kind.is_float else int(text, 0)
-        if kind.is_float and isinf(value) and "inf" not in text.lower():
-            raise OverflowError
-        return kind.encode(value)
-    except (ValueError, OverflowError) as error:
-        raise RequestError(GatewayError.SYNTAX, f"'{text[:40]}' is no value of this data type") from error
+def _encoded(kind: DataType, text: str) -> bytes:
+    value = float(text) if kind.is_float else int(text, 0)
+    if kind.is_float and isinf(value) and "inf" not in text.lower():
+        raise OverflowError
+    return kind.encode(value)
 
 
-def _decode(code: int, data: bytes) -> Value:
-    kind = data_type(code)
-    if len(data) != kind.width:
-        raise RequestError("0x06070010", f"{len(data)} bytes, expected {kind.width} of this data type")
-    return kind.decode(data)
-
-
-def _parse_hex(text: str) -> bytes:
-    try:
-        return bytes.fromhex(text)
-    except ValueError as error:
-        raise RequestError(GatewayError.SYNTAX, f"'{text}', expected hexadecimal bytes") from error
-
-
-def _parse_base64(text: str) -> bytes:
-    try:
-        return base64.b64decode(text, validate=True)
-    except binascii.Error as error:
-        raise RequestError(GatewayError.SYNTAX, f"'{text[:40]}', expected base64 (RFC 2045)") from error
-
-
-def _parse_time(text: str) -> bytes:
+def _time_in(text: str) -> bytes:
     """Days and milliseconds of the day: `ms days`, 28 of 32 bits and 16 bits."""
-    try:
-        days, milliseconds = map(int, text.split())
-        if milliseconds >= 1 << 28:
-            raise OverflowError
-        return milliseconds.to_bytes(4, "little") + days.to_bytes(2, "little")
-    except (ValueError, OverflowError):
-        raise RequestError(GatewayError.SYNTAX, f"'{text[:40]}', expected days and milliseconds") from None
+    days, milliseconds = map(int, text.split())
+    if milliseconds >= 1 << 28:
+        raise OverflowError
+    return milliseconds.to_bytes(4, "little") + days.to_bytes(2, "little")
 
 
 def _show_time(data: bytes) -> str:
-    if len(data) != 6:
-        raise RequestError("0x06070010", f"{len(data)} bytes, expected 6 of this data type")
     milliseconds = int.from_bytes(data[:4], "little") & 0x0FFF_FFFF
     return f"{int.from_bytes(data[4:], 'little')} {milliseconds}"
 
@@ -186,27 +171,26 @@ def _show_text(data: bytes) -> str:
     return f'"{text}"' if not text or any(c.isspace() or c == '"' for c in text) else text
 
 
-def _number_form(code: int) -> TextForm:
-    return TextForm(partial(_parse, code), lambda data: str(_decode(code, data)))
+def _number_form(kind: DataType, shown: Callable[[Value], str] = str) -> TextForm:
+    return TextForm(partial(_encoded, kind), lambda data: shown(kind.decode(data)), kind.width)
 
 
-def _hexadecimal(code: int) -> TextForm:
-    return TextForm(partial(_parse, code), lambda data: f"0x{int(_decode(code, data)):0{2 * len(data)}X}")
-
-
-_BASE64 = TextForm(_parse_base64, lambda data: base64.b64encode(data).decode("ascii"))
-_TIME = TextForm(_parse_time, _show_time)
-
+_BASE64 = TextForm(
+    partial(base64.b64decode, validate=True),
+    lambda data: base64.b64encode(data).decode("ascii"),
+    problem="'{:.40}', expected base64 (RFC 2045)",
+)
+_TIME = TextForm(_time_in, _show_time, 6, "'{:.40}', expected days and milliseconds")
 _BITS: Final = (8, 16, 32, 64)
 #: By the names of CiA 309-3; x… and hex are CANopenNode's.
 _FORMS = {
-    "b": TextForm(partial(_parse, DataType.BOOLEAN), lambda data: str(int(_decode(DataType.BOOLEAN, data) != 0))),
+    "b": _number_form(DataType.BOOLEAN, lambda value: str(int(value != 0))),
     **{f"i{bits}": _number_form(DataType[f"INTEGER{bits}"]) for bits in _BITS},
     **{f"u{bits}": _number_form(DataType[f"UNSIGNED{bits}"]) for bits in _BITS},
-    **{f"x{bits}": _hexadecimal(DataType[f"UNSIGNED{bits}"]) for bits in _BITS},
+    **{f"x{bits}": _number_form(DataType[f"UNSIGNED{bits}"], f"0x{{:0{bits // 4}X}}".format) for bits in _BITS},
     "r32": _number_form(DataType.REAL32), "r64": _number_form(DataType.REAL64),
     "t": _TIME, "td": _TIME,
     "vs": TextForm(lambda text: text.encode("latin-1", errors="replace"), _show_text),
     "os": _BASE64, "us": _BASE64, "d": _BASE64,
-    "hex": TextForm(_parse_hex, lambda data: data.hex(" ").upper()),
+    "hex": TextForm(bytes.fromhex, lambda data: data.hex(" ").upper(), problem="'{}', expected hexadecimal bytes"),
 }  # fmt: skip

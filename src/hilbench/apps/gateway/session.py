@@ -70,10 +70,8 @@ class Session:
         self._network, self._lss = network, lss
         self._default_node: int | None = None
         self._commands: dict[str, Callable[[Request], str]] = {
-            "r": self._read,
-            "read": self._read,
-            "w": self._write,
-            "write": self._write,
+            **dict.fromkeys(("r", "read"), self._read),
+            **dict.fromkeys(("w", "write"), self._write),
             "reset": self._reset,
             "set": self._set,
             "info": self._info,
