@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -210,8 +209,7 @@ def signal_events(t_s: ArrayLike, values: ArrayLike, path: str) -> list[Event]:
         least = STEP_SHARE * np.abs(data[:-1]) if drifts else np.full(len(changes), 1e-9 * largest)
         moved = np.flatnonzero(np.abs(changes) > least) + 1
     events = []
-    for group in _groups(moved.tolist()):
-        at = moved[group]
+    for at in np.split(moved, np.flatnonzero(np.diff(moved) > _GAP) + 1) if len(moved) else ():
         steps = _within_a_ramp(changes[at - 1], largest)
         events += [_event(path, time_s[at[k]], time_s[at[k]], 1, data[at[k] - 1], data[at[k]]) for k in steps]
         first, last = int(at[0]), int(at[-1])
@@ -234,12 +232,6 @@ def _event(path: str, start_s: float, end_s: float, samples: int, before: float 
     quick = samples <= _STEP_SAMPLES or end_s - start_s <= _STEP_S
     changed = Changed(path, None if before is None else float(before), float(after))
     return Event("step" if quick else "ramp", float(start_s), float(end_s), (changed,))
-
-
-def _groups(positions: Sequence[int]) -> list[list[int]]:
-    """Indices of `positions` (rising), those that are no farther apart than `_GAP` together."""
-    breaks = np.cumsum(np.diff(np.asarray(positions, int), prepend=positions[:1]) > _GAP)
-    return [[at for at, _ in group] for _, group in groupby(enumerate(breaks.tolist()), key=lambda entry: entry[1])]
 
 
 def merged(journal: Iterable[Event], shown: Iterable[Event], same_s: float) -> list[Event]:

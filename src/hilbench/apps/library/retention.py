@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,7 +62,7 @@ def check_deletable(path: Path) -> None:
         raise UnusableInputError(path, "is a link, expected a run folder itself")
     if not is_run(path):
         raise UnusableInputError(path, "is no run folder, expected one with a config and a trace, journal or result")
-    for below in _folders(path):
+    for below in path.rglob("*/"):
         if is_run(below) or below.name == ".git":
             raise UnusableInputError(path, f"holds {below.relative_to(path)}, expected a run folder and nothing else")
     if continues(RunFolder(path)):
@@ -91,8 +91,3 @@ def delete_all(paths: Sequence[Path]) -> dict[Path, UnusableInputError]:
         except UnusableInputError as error:
             left[path] = error
     return left
-
-
-def _folders(path: Path) -> Iterator[Path]:
-    for below, folders, _ in os.walk(path):
-        yield from (Path(below) / name for name in folders)

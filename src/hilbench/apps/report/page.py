@@ -13,10 +13,11 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -95,7 +96,8 @@ def policy(code: tuple[str, ...]) -> str:
 
 
 def _page_data(pictures: Sequence[Picture], marks: Sequence[Mark]) -> dict[str, Any]:
-    signals = list(_signals(pictures))
+    charts = [chart for picture in pictures for chart in picture.charts]
+    signals = list[Curve | Band](chain.from_iterable((*chart.curves, *chart.bands) for chart in charts))
     bases = {id(signal.t_s): signal.t_s for signal in signals}
     columns = sum(2 if isinstance(signal, Band) else 1 for signal in signals)
     points = max(_LEAST_POINTS, _VALUES // max(columns, 1))
@@ -142,13 +144,6 @@ def _page_data(pictures: Sequence[Picture], marks: Sequence[Mark]) -> dict[str, 
             if mark.number
         ][:_MOST_BUTTONS],
     }
-
-
-def _signals(pictures: Sequence[Picture]) -> Iterator[Curve | Band]:
-    for picture in pictures:
-        for chart in picture.charts:
-            yield from chart.curves
-            yield from chart.bands
 
 
 def _text(values: Array, kind: str) -> str:

@@ -115,12 +115,10 @@ def courses(outlook: Outlook) -> list[dict[str, Any]]:
         course = {"t_s": t_s[edges], "low": low, "median": median[edges], "high": high}
         levels = {"warning": watched.warning, "trip": watched.trip}
         about = {"name": watched.name, "unit": watched.unit, "levels": levels}
-        shown.append({**about, **{name: _rounded(values) for name, values in course.items()}})
+        shown.append(
+            {**about, **{name: [float(f"{v:.{_DIGITS}g}") for v in values] for name, values in course.items()}}
+        )
     return shown
-
-
-def _rounded(values: np.ndarray[Any, Any]) -> list[float]:
-    return [float(f"{value:.{_DIGITS}g}") for value in values]
 
 
 class Named(Strict):
