@@ -94,6 +94,8 @@ def whole_step_s(fastest_per_s: float, horizon_s: float, most_s: float) -> float
     return horizon_s / ceil(horizon_s / longest_s)
 
 
+#: A prediction: the simulation, which takes its time and releases the GIL, and the function of its result.
+Prepared = tuple[Callable[[], None], Callable[[], Outlook]]
 Present = TypeVar("Present")
 Courses = TypeVar("Courses")
 
@@ -113,14 +115,8 @@ class Futures(ABC, Generic[Present, Courses]):
         return len(self.watched)
 
     @abstractmethod
-    def prepare(
-        self, present: Present, courses: Courses, offsets: Offsets, *key: int
-    ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
-        """Prepare a prediction: the simulation, which takes its time and releases the GIL, and the function of its
-        result.
-
-        `key`: seed of all draws; equal arguments give an equal outlook.
-        """
+    def prepare(self, present: Present, courses: Courses, offsets: Offsets, *key: int) -> Prepared:
+        """Prepare a prediction. `key`: seed of all draws; equal arguments give an equal outlook."""
 
     @abstractmethod
     def at_rest(self) -> tuple[Present, Courses]:

@@ -12,7 +12,7 @@ from hilbench.bench.tasks.load_model import LoadModel, LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.shaft_limits import limit_watch
-from hilbench.bench.tasks.task import MANY, CompiledStages, StagedTask
+from hilbench.bench.tasks.task import CompiledStages, StagedTask
 from hilbench.bench.tasks.watches import QuietWatch
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.fmu.follower import FmuFollower
@@ -106,9 +106,4 @@ class ShaftLoadTask(LoadTask):
 
     def compiled_stages(self, sample: CycleSample) -> CompiledStages | None:
         """Compiled stage that follows the measured motion; the true parameters stay as they are. None of a subclass."""
-        piece = self.model.piece(sample.reals, self._at(sample), lambda _: True)
-        if piece is None or type(self) is not ShaftLoadTask:
-            return None
-        return CompiledStages(
-            after=[piece], cycles=lambda: MANY if self.model.continues else 0, shown=dict(self._commands)
-        )
+        return self._follows(sample, self._at(sample), lambda _: True) if type(self) is ShaftLoadTask else None

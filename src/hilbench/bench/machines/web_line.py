@@ -343,13 +343,8 @@ class WebLoadTask(LoadTask):
             self._show(sample)
             return True
 
-        piece = self.model.piece(sample.reals, self._at, fallback)
-        if piece is None:
-            return None
         pushes = [python_stage(partial(self._push, sample))] if self._forces else []
-        return CompiledStages(
-            after=[piece, *pushes], cycles=lambda: MANY if self.model.continues else 0, shown=dict(self._commands)
-        )
+        return self._follows(sample, self._at, fallback, *pushes)
 
 
 def _of_stations(shape: Shape) -> list[tuple[str, str, str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 from hilbench.arrays import Array
@@ -11,8 +10,7 @@ from hilbench.bench.prediction.window import Hindsight, Reading, Window
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.shaft_limits import limited
 from hilbench.prediction.config import PredictionConfig
-from hilbench.prediction.futures import Offsets
-from hilbench.prediction.outlook import Outlook
+from hilbench.prediction.futures import Offsets, Prepared
 from hilbench.prediction.plan import Asked
 from hilbench.prediction.servo_axis.futures import ShaftCourses, ShaftFutures, ShaftPresent
 from hilbench.topology.config import BenchConfig
@@ -61,9 +59,7 @@ class ShaftLook(Look):
         """True if the present state is known: the twin is synchronized."""
         return is_synchronized(sample) and sample.J_sim_kg_m2 > 0.0
 
-    def prepare(
-        self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
-    ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
+    def prepare(self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int) -> Prepared:
         """Prepare `ShaftFutures` from the last samples and the planned moves."""
         reading = window.read()
         present = self._present(now_s, reading, window.fit_noise)

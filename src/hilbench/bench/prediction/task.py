@@ -22,7 +22,7 @@ from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Inputs
 from hilbench.prediction.config import PredictionConfig
-from hilbench.prediction.futures import Futures
+from hilbench.prediction.futures import Futures, Prepared
 from hilbench.prediction.outlook import Crossing, Outlook, WatchedQuantity
 from hilbench.prediction.plan import Asked, Move
 from hilbench.real_time import leave_the_cycle
@@ -73,9 +73,7 @@ class Look(ABC):
         return measured
 
     @abstractmethod
-    def prepare(
-        self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
-    ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
+    def prepare(self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int) -> Prepared:
         """Two parts of a look ahead: a long one that lets other threads run, and one that returns its outlook."""
 
 

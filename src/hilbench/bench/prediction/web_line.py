@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from operator import attrgetter
@@ -19,8 +18,7 @@ from hilbench.control.web_line.strain_trajectory import strain_trajectory
 from hilbench.control.web_line.swing_damping import SwingDamping, SwingPlant
 from hilbench.control.web_line.tension import tension_controller
 from hilbench.prediction.config import PredictionConfig
-from hilbench.prediction.futures import Offsets
-from hilbench.prediction.outlook import Outlook
+from hilbench.prediction.futures import Offsets, Prepared
 from hilbench.prediction.plan import Asked, Move
 from hilbench.prediction.web_line.futures import LineControl, LineCourses, LineFutures, LinePresent
 from hilbench.topology.config import BenchConfig
@@ -88,9 +86,7 @@ class LineLook(Look):
         paths = self._moduli if move.path == YOUNGS_MODULUS else [move.path]
         return tuple(replace(move, path=path) for path in paths)
 
-    def prepare(
-        self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
-    ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
+    def prepare(self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int) -> Prepared:
         """Prepare `LineFutures` from the last samples and the planned moves."""
         reading = window.read()
         present, noise = self._present(now_s, reading, window.fit_noise), np.zeros(len(self.watched))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.arrays import Vector
-from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.task import MANY, CompiledStages, CyclicTask, Outputs
 from hilbench.cycle_program import CompiledStage
 from hilbench.plant.effect import MachineKind
 from hilbench.plant.effects import find_effect
@@ -189,6 +189,17 @@ class LoadTask(CyclicTask):
         torques_Nm = self.model.update(positions, speeds, late=late)
         for (_, command), torque_Nm in zip(self._commands, torques_Nm, strict=True):
             setattr(sample, command, torque_Nm)
+
+    def _follows(
+        self, sample: CycleSample, places: Places, fallback: Callable[[HasFollowed], bool], *further: CompiledStage
+    ) -> CompiledStages | None:
+        """Compiled stage that follows the measured motion, and further ones; None where the model can't follow so."""
+        piece = self.model.piece(sample.reals, places, fallback)
+        if piece is None:
+            return None
+        return CompiledStages(
+            after=[piece, *further], cycles=lambda: MANY if self.model.continues else 0, shown=dict(self._commands)
+        )
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """Command zero torque."""

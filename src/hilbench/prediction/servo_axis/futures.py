@@ -19,8 +19,8 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ServoRigPa
 from hilbench.plant.servo_axis.shaft import look as look_at
 from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.plant.web_line import layout as line
-from hilbench.prediction.futures import Futures, Offsets, Tally, normal_draws, whole_step_s
-from hilbench.prediction.outlook import Outlook, WatchedQuantity
+from hilbench.prediction.futures import Futures, Offsets, Prepared, Tally, normal_draws, whole_step_s
+from hilbench.prediction.outlook import WatchedQuantity
 from hilbench.prediction.servo_axis import kernel
 
 #: Inertia of a future is at least this share of the estimate.
@@ -100,9 +100,7 @@ class ShaftFutures(Futures[ShaftPresent, CoursesAt]):
         self._inputs = self._layout.new_inputs()
         self._layout.motor_inputs(self._inputs).mode = MotorMode.VELOCITY
 
-    def prepare(
-        self, present: ShaftPresent, courses_at: CoursesAt, offsets: Offsets, *key: int
-    ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
+    def prepare(self, present: ShaftPresent, courses_at: CoursesAt, offsets: Offsets, *key: int) -> Prepared:
         """Prepare a prediction; see `Futures`."""
         step_s, courses = self._courses(present, courses_at)
         z = normal_draws(self._futures, 4 + self.quantities, *key)

@@ -20,8 +20,8 @@ from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.prediction.futures import Futures, Offsets, Tally, normal_draws, whole_step_s
-from hilbench.prediction.outlook import Outlook, WatchedQuantity
+from hilbench.prediction.futures import Futures, Offsets, Prepared, Tally, normal_draws, whole_step_s
+from hilbench.prediction.outlook import WatchedQuantity
 from hilbench.prediction.web_line import kernel
 
 #: Longest step, s: the drives' loops act once in it, and with more the torques where a ramp begins are off by more than
@@ -161,9 +161,7 @@ class LineFutures(Futures[LinePresent, LineCourses]):
         """Start times of the T steps."""
         return np.asarray(now_s + self.step_s * np.arange(self.steps), np.float64)
 
-    def prepare(
-        self, present: LinePresent, courses: LineCourses, offsets: Offsets, *key: int
-    ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
+    def prepare(self, present: LinePresent, courses: LineCourses, offsets: Offsets, *key: int) -> Prepared:
         """Prepare a prediction; see `Futures`."""
         n, q = self._layout.axes, self.quantities
         z = normal_draws(self._futures, 1 + n + q, *key)
