@@ -57,11 +57,7 @@ class Trapezoid:
         """Position and velocity `time_s` after the start; after the end, at the target."""
         if time_s >= self.duration_s:
             return self.target, self._end_velocity
-        phase = self._phases[0]
-        for later in self._phases[1:]:
-            if later.begin_s > time_s:
-                break
-            phase = later
+        phase = next((each for each in reversed(self._phases) if each.begin_s <= time_s), self._phases[0])
         passed_s = time_s - phase.begin_s
         velocity = phase.velocity + phase.acceleration * passed_s
         return phase.position + 0.5 * (phase.velocity + velocity) * passed_s, velocity

@@ -11,6 +11,7 @@ A state whose option code selects a ramp is left when the ramp has ended: a driv
 
 from __future__ import annotations
 
+from collections.abc import Container
 from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Final
@@ -153,7 +154,8 @@ class SimulatedDrive:
         self._pending: tuple[Transition, float] | None = None
         self.firmware.controlword.on_write = self._controlword_written
         self._mode_request.on_write = self._mode_written
-        self.firmware.homing_method.on_write = self._homing_method_written
+        methods = PRESENT_POSITION if switches is None else WITH_SWITCHES
+        self.firmware.homing_method.on_write = partial(_only, {NO_METHOD, *methods})
         failing = SIMULATED_FAULT + objects_behind(axis)
         if device.has(failing) and device.cell(failing).variable.name.startswith(_FAULT_ON_COMMAND):
             device.cell(failing).on_write = self._simulated_fault_written
@@ -376,12 +378,6 @@ class SimulatedDrive:
             self._begin_halt()
         self.mode.enter()
 
-    def _homing_method_written(self, method: int) -> None:
-        if method != NO_METHOD and method not in (
-            PRESENT_POSITION if self.firmware.switches is None else WITH_SWITCHES
-        ):
-            raise SdoAbort(_ABORT_VALUE_RANGE)
-
     # --- faults ------------------------------------------------------------------------------------------------------
 
     def fault(self, code: int) -> None:
@@ -473,7 +469,7 @@ class SimulatedDrive:
         self._show_status(0.0)
 
 
-def _only(codes: range, code: int) -> None:
+def _only(codes: Container[int], code: int) -> None:
     if code not in codes:
         raise SdoAbort(_ABORT_VALUE_RANGE)
 

@@ -74,11 +74,9 @@ def methods_of(text: str) -> dict[str, SynchronizerConfig]:
     Raises UnusableInputError for an unknown one.
     """
     names = list(METHODS) if text.strip() == "all" else [name.strip() for name in text.split(",") if name.strip()]
-    if not names:
-        raise UnusableInputError("--method", f"'{text}', expected some of {', '.join(METHODS)}, or all")
-    for name in names:
-        if name not in METHODS:
-            raise UnusableInputError("--method", f"'{name}', expected some of {', '.join(METHODS)}, or all")
+    unknown = next((name for name in names if name not in METHODS), None if names else text)
+    if unknown is not None:
+        raise UnusableInputError("--method", f"'{unknown}', expected some of {', '.join(METHODS)}, or all")
     return {name: METHODS[name]() for name in names}
 
 

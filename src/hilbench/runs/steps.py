@@ -239,8 +239,26 @@ class PythonStep(Block):
     function: str = Field(default="experiment", description="generator function, called with the bench")
 
     def run(self, bench: Bench, judged: list[CriterionResult]) -> None:
-        """Run cycles until it returns."""
-        run_experiment_function(bench, self.file, self.function, judged)
+        """Run cycles until it returns; an assertion that fails is a failed criterion, anything else it raises a bench
+        fault.
+
+        Raises BenchFaultError naming file and line.
+        """
+        path, experiment = self.file, load_experiment(self.file, self.function)
+        name = f"{path.name}: {self.function}"
+        try:
+            bench.follow(experiment(bench))
+        except UnusableValueError as error:
+            raise BenchFaultError(f"{_place(path, error)}: {error}") from error
+        except (HilbenchError, KeyboardInterrupt):
+            raise
+        except AssertionError as error:
+            text = f"{_place(path, error)}: {error}".rstrip(": ")
+            judged.append(failed_or_passed(name, text))
+        except BaseException as error:  # a SystemExit ends the run as any other does
+            raise BenchFaultError(f"{_place(path, error)}: {type(error).__name__}: {error}") from error
+        else:
+            judged.append(failed_or_passed(name))
 
 
 Action = Ramp | Hold | Set | Step | WaitUntil | RestartTwin | UseSynchronizer
@@ -308,28 +326,6 @@ def load_experiment(path: Path, function: str) -> Experiment:
         raise UnusableInputError(path, f"no function '{function}', expected a generator function of the bench")
     experiment: Experiment = found
     return experiment
-
-
-def run_experiment_function(bench: Bench, path: Path, function: str, judged: list[CriterionResult]) -> None:
-    """Run it; an assertion that fails is a failed criterion, anything else it raises a bench fault.
-
-    Raises BenchFaultError naming file and line.
-    """
-    experiment = load_experiment(path, function)
-    name = f"{path.name}: {function}"
-    try:
-        bench.follow(experiment(bench))
-    except UnusableValueError as error:
-        raise BenchFaultError(f"{_place(path, error)}: {error}") from error
-    except (HilbenchError, KeyboardInterrupt):
-        raise
-    except AssertionError as error:
-        text = f"{_place(path, error)}: {error}".rstrip(": ")
-        judged.append(failed_or_passed(name, text))
-    except BaseException as error:  # a SystemExit ends the run as any other does
-        raise BenchFaultError(f"{_place(path, error)}: {type(error).__name__}: {error}") from error
-    else:
-        judged.append(failed_or_passed(name))
 
 
 def _place(path: Path, error: BaseException) -> str:
