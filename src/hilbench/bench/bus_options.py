@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from math import ceil
 from typing import NamedTuple
 
-from hilbench.bench.schedule import bits_on_wire, schedule
+from hilbench.bench.schedule import schedule
 from hilbench.can.frame import EXTENDED_FLAG
-from hilbench.can.load import CyclicFrame
+from hilbench.can.load import CyclicFrame, bits_on_wire
 from hilbench.can.wire import worst_case_fd_bits
 from hilbench.canopen.identifiers import FUNCTION_CODE, HEARTBEAT, SYNC
 from hilbench.exchange.nodes import Nodes

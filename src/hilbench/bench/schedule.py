@@ -13,9 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from hilbench.can.frame import EXTENDED_FLAG
-from hilbench.can.load import CyclicFrame
-from hilbench.can.wire import worst_case_bits
+from hilbench.can.load import CyclicFrame, bits_on_wire
 from hilbench.canopen.identifiers import FUNCTION_CODE, HEARTBEAT, RPDOS, SYNC
 from hilbench.exchange.pacing import GUARD_FRACTION
 
@@ -35,11 +33,6 @@ class Slot:
     def fits(self) -> bool:
         """True if it is in time in each cycle."""
         return self.ends_s <= self.due_s
-
-
-def bits_on_wire(frame: CyclicFrame) -> float:
-    """Bit times of the frame at worst, each time that it goes out."""
-    return worst_case_bits(frame.data_bytes, bool(frame.can_id & EXTENDED_FLAG))
 
 
 def schedule(

@@ -21,7 +21,12 @@ class CyclicFrame:
     @property
     def worst_case_bits(self) -> float:
         """Bit times per cycle, every possible stuff bit counted."""
-        return self.per_cycle * worst_case_bits(self.data_bytes, bool(self.can_id & EXTENDED_FLAG))
+        return self.per_cycle * bits_on_wire(self)
+
+
+def bits_on_wire(frame: CyclicFrame) -> float:
+    """Bit times of the frame at worst, each time that it goes out."""
+    return worst_case_bits(frame.data_bytes, bool(frame.can_id & EXTENDED_FLAG))
 
 
 @dataclass(frozen=True)

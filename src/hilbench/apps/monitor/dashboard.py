@@ -6,7 +6,7 @@ yes or no to what it proposes, and to look ahead a question of its present value
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import partial
 from math import floor, log10
@@ -61,7 +61,7 @@ class _StopQuestion(_Dialogue):
     """Confirmation of the emergency stop; the key that asked for it means yes as well."""
 
     def __init__(self) -> None:
-        super().__init__(f"Stop every device on the bus?\ny or {_STOP_KEY}: STOP   n: no", {"y": True, "n": False})
+        super().__init__(f"Stop every device on the bus?\ny or {_STOP_KEY}: STOP   n: no", {"y": True, "n": None})
 
 
 class _Number(Input):
@@ -160,65 +160,57 @@ class Dashboard(App[None]):
                 self.screen.dismiss(True)
                 return
             self.screen.dismiss(None)
-        self.push_screen(_StopQuestion(), self._stop)
+        self._ask(_StopQuestion(), self._stop)
 
     def action_change(self, key: str) -> None:
         """Ask for a new value, and whether it is meant."""
         quantity = self._changes.changeable[key]
-        self.push_screen(self._new_value(quantity, quantity.title), partial(self._confirm, quantity))
+        self._ask(self._new_value(quantity, quantity.title), partial(self._confirm, quantity))
+
+    def _ask(self, dialogue: _Dialogue, act: Callable[[Any], object]) -> None:
+        """Show a dialogue; its answer, unless it has none, goes to `act`."""
+
+        def answered(answer: object) -> None:
+            if answer is not None:
+                act(answer)
+
+        self.push_screen(dialogue, answered)
 
     def _new_value(self, quantity: MainQuantity, text: str) -> _NewValue:
         return _NewValue(text, *self._changes.range_of(quantity), quantity.in_unit)
 
-    def _confirm(self, quantity: MainQuantity, value: float | None) -> None:
-        if value is None:
-            return
-
-        def ask(yes: bool | None) -> None:
-            if yes:
-                self._changes.ask(quantity, value, self._note)
-
+    def _confirm(self, quantity: MainQuantity, value: float) -> None:
         text = f"Set {quantity.title} to {value:g} {quantity.in_unit}?\ny: yes   n: no   {_STOP_HINT}"
-        self.push_screen(_Dialogue(text, {"y": True, "n": False}), ask)
+        answers = {"y": True, "n": None}
+        self._ask(_Dialogue(text, answers), lambda _: self._changes.ask(quantity, value, self._note))
 
     def action_switch(self, key: str) -> None:
         """Ask for yes or no, and send it to the bench."""
         switch = self._changes.switches[key]
-
-        def send(on: bool | None) -> None:
-            if on is not None:
-                self._changes.send(switch, on, self._note)
-
         text = f"{switch.title}?\ny: {switch.yes}\nn: {switch.no}\nEsc leaves it   {_STOP_HINT}"
-        self.push_screen(_Dialogue(text, {"y": True, "n": False}), send)
+        answers = {"y": True, "n": False}
+        self._ask(_Dialogue(text, answers), lambda on: self._changes.send(switch, on, self._note))
 
     def action_what_if(self) -> None:
         """Ask of what, and for which value, to look ahead; nothing is sent that moves anything."""
         lines = [f"{key}: {quantity.title}" for key, quantity in self._changes.foreseeable.items()]
         text = "\n".join(["What if another", *lines, f"Esc leaves it   {_STOP_HINT}"])
-        self.push_screen(_Dialogue(text, {key: key for key in self._changes.foreseeable}), self._of_what)
+        self._ask(_Dialogue(text, {key: key for key in self._changes.foreseeable}), self._of_what)
 
-    def _of_what(self, key: str | None) -> None:
-        if key is None:
-            return
+    def _of_what(self, key: str) -> None:
         quantity = self._changes.foreseeable[key]
+        dialogue = self._new_value(quantity, f"What if {quantity.title} went to a value")
+        self._ask(dialogue, lambda value: self._changes.look_ahead(quantity, value, self._picture.recent_frames()))
 
-        def look(value: float | None) -> None:
-            if value is not None:
-                self._changes.look_ahead(quantity, value, self._picture.recent_frames())
-
-        self.push_screen(self._new_value(quantity, f"What if {quantity.title} went to a value"), look)
-
-    def _stop(self, yes: bool | None) -> None:
-        if yes:
-            try:
-                send_emergency_stop(self._link)
-                self._picture.take(EMERGENCY_STOP)  # a link does not receive what it sends
-                self._notify("emergency stop sent")
-            except BusError as error:
-                self._notify(f"EMERGENCY STOP NOT SENT: {error}")
-                return
-            self.run_worker(partial(self._note, "emergency stop"), thread=True)
+    def _stop(self, _: object) -> None:
+        try:
+            send_emergency_stop(self._link)
+            self._picture.take(EMERGENCY_STOP)  # a link does not receive what it sends
+            self._notify("emergency stop sent")
+        except BusError as error:
+            self._notify(f"EMERGENCY STOP NOT SENT: {error}")
+            return
+        self.run_worker(partial(self._note, "emergency stop"), thread=True)
 
     def _note(self, text: str, value: float = 0.0) -> None:
         """Into the journal; not in the dashboard's own thread, a trace may be long."""
