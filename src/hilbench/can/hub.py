@@ -152,14 +152,11 @@ class Hub:
             if not self._loads and self._medium.counters.frames >= _FRAMES_UNTIL_LOADED:
                 self._load()
             return False
-        if not self._can_forward(forwarder):
+        if not (0 < len(self._medium.stations) <= forwarder.MAX_STATIONS and self._is_quiet()):
             return False
         left = forwarder.forward(self._medium, self._places())
         self._take_left(left)
         return bool(left.packets or left.undelivered)
-
-    def _can_forward(self, forwarder: Forwarder) -> bool:
-        return 0 < len(self._medium.stations) <= forwarder.MAX_STATIONS and self._is_quiet()
 
     def _places(self) -> list[Place]:
         return [(each.connection.fileno(), each.limit, each.dropped, each.receive_own) for each in self._stations]

@@ -61,10 +61,9 @@ class LssMaster:
 
     def select(self, identity: Identity) -> None:
         """Bring this device, alone, into its configuration state. Raises BenchFaultError when it does not answer."""
-        address = astuple(identity)
         with self._talking(f"device {shown(identity)}"):
             self._leave_configuration()
-            self._network.lss.send_switch_state_selective(*address)
+            self._network.lss.send_switch_state_selective(*astuple(identity))
 
     def select_only_one(self) -> Identity:
         """Bring the only device on the bus, whatever it is, into configuration state, and inquire its identity."""

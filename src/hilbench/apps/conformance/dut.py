@@ -312,8 +312,7 @@ class DeviceUnderTest:
         if isinstance(answer, Refusal):
             raise NotApplicableError(f"{what}: {self.name(index, sub)} = {value:X}h is refused, {answer}")
         if answer is None:
-            self.check(what, "an answer", _EMPTY, False)
-            raise CaseEndedError
+            self.must(self.check(what, "an answer", _EMPTY, False))
 
     # -- NMT -------------------------------------------------------------------------------------------------
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import astuple
 from importlib.metadata import version
 from typing import Final
 
@@ -219,8 +220,4 @@ class Session:
         self._lss_done(lambda lss: found.extend(lss.find_unconfigured()), GatewayError.LSS_MANUFACTURER)
         if not found:
             raise RequestError(GatewayError.TIMED_OUT, "no device without a node id answers")
-        first = found[0]
-        return " ".join(
-            f"0x{number:08X}"
-            for number in (first.vendor_id, first.product_code, first.revision_number, first.serial_number)
-        )
+        return " ".join(f"0x{number:08X}" for number in astuple(found[0]))

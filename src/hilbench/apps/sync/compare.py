@@ -112,7 +112,9 @@ def write_comparison(comparison: Comparison, title: str, folder: Path) -> Path:
 def pictures(comparison: Comparison) -> list[Picture]:
     """Estimates over the whole recording, each with its 95 % interval, and all around the last step of the true E."""
     true = "" if comparison.E_true_Pa is None else ", and the true value with ±1 % (grey)"
-    chart, marks = _chart(comparison), _marks(comparison)
+    curves, bands = _true(comparison)
+    chart = Chart(_AXIS, [*curves, *(_curve(comparison, result) for result in comparison.results)], bands)
+    marks = _marks(comparison)
     intervals = [_interval_chart(comparison, result) for result in comparison.results]
     stated = f"Estimate ± {INTERVAL} standard deviations as the method states them{true}"
     found = [
@@ -127,11 +129,6 @@ def pictures(comparison: Comparison) -> list[Picture]:
 
 def _marks(comparison: Comparison) -> list[Mark]:
     return [] if comparison.step_s is None else [Mark(comparison.step_s, comparison.step_s, "step of E", "1")]
-
-
-def _chart(comparison: Comparison) -> Chart:
-    curves, bands = _true(comparison)
-    return Chart(_AXIS, [*curves, *(_curve(comparison, result) for result in comparison.results)], bands)
 
 
 def _interval_chart(comparison: Comparison, result: MethodResult) -> Chart:

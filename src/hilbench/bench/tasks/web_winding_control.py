@@ -87,7 +87,7 @@ class ReelMechanics:
         if not isinstance(reel, Reel):
             raise ValueError(f"axis {axis} is no reel, expected an unwinder or rewinder")
         span = 1 if reel.type == "unwinder" else model.span_count
-        width_m = model.section_m2(span) / _thickness_m(model, span)
+        width_m = model.section_m2(span) / per_item(model.required_web.thickness_m, span)
         return cls(
             side=-1.0 if reel.type == "unwinder" else 1.0,
             gear_ratio=model.gear_ratio(axis),
@@ -109,10 +109,6 @@ class ReelMechanics:
         inertia_kg_m2 = self.inertia_kg_m2(radius_m if wound_m is None else wound_m)
         accelerating_Nm = inertia_kg_m2 * acceleration_m_s2 / radius_m
         return (self.side * tension_N * radius_m + accelerating_Nm) / self.gear_ratio
-
-
-def _thickness_m(model: ModelParameters, span: int) -> float:
-    return per_item(model.required_web.thickness_m, span)
 
 
 class ReelTension:

@@ -63,7 +63,10 @@ class Estimate:
                 after_a_step,
             ),
             f"{symbol}_final_error_pct": Metric(
-                "%", f"size of the mean relative error of the estimate of {name}, settled part", nothing, self._final
+                "%",
+                f"size of the mean relative error of the estimate of {name}, settled part",
+                nothing,
+                lambda s: s.final(100 * self._error(s)),
             ),
             f"{symbol}_noise_pct": Metric(
                 "%", f"rms of the estimate of {name} about its straight-line trend, settled part", nothing, self._noise
@@ -85,10 +88,6 @@ class Estimate:
         if not true.all():
             raise UnknownFigureError(f"the true {self.quantity.short} is 0")
         return np.asarray(estimate / true - 1, np.float64)
-
-    def _final(self, segment: Segment) -> Figure:
-        error = self._error(segment)
-        return Figure(abs(100 * float(np.mean(error[segment.settled(error)]))))
 
     def _noise(self, segment: Segment) -> Figure:
         error = self._error(segment)
