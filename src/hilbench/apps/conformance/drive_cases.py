@@ -18,6 +18,7 @@ from hilbench.apps.conformance.power import (
     STATE_S,
     actual_velocity,
     bring,
+    choose,
     command,
     enable,
     expect_state,
@@ -69,7 +70,6 @@ _LONGEST, _SHORTEST = 1.8, 0.45
 _ASKED_S: Final = 0.1  #: a value is read when its answer comes
 _START: Final = 1 << 4  #: controlword: new set-point, or homing begins
 _PRESENT_POSITION: Final = (37, 35)
-_SHOWN_S: Final = 1.0
 _TOLERATED: Final = 1.1
 _MOTION_S: Final = 10.0
 _STEEP_RAMP_S: Final = 0.01  #: from rest to 60 rpm: shorter than a position loop of 40 1/s settles
@@ -280,8 +280,7 @@ def connection_lost(dut: DeviceUnderTest) -> None:
 def each_mode(dut: DeviceUnderTest) -> None:
     """Without power."""
     for mode in supported(dut):
-        dut.write(objects.MODES_OF_OPERATION, 0, int(mode))
-        wait(dut, lambda mode=mode: dut.value(objects.MODES_OF_OPERATION_DISPLAY) == mode, _SHOWN_S)  # type: ignore[misc]
+        choose(dut, mode)
         dut.reads(f"6061h after 6060h = {int(mode)}", objects.MODES_OF_OPERATION_DISPLAY, 0, int(mode))
 
 

@@ -28,9 +28,7 @@ def can_be_in_process(config: BenchConfig) -> bool:
 def check_in_process(config: BenchConfig) -> None:
     """Raise UnusableInputError for a config whose participants cannot live in the bench's process."""
     real = [part.name for part in config.parts if not part.is_ours]
-    for found, expected in (
-        (f"bus {config.bus_address}" if config.bus_address.interface != "embedded" else "", "the embedded bus"),
-        (f"{', '.join(real)} not simulated" if real else "", "all nodes simulated"),
-    ):
-        if found:
-            raise UnusableInputError("in-process", f"found {found}, expected {expected}")
+    if config.bus_address.interface != "embedded":
+        raise UnusableInputError("in-process", f"found bus {config.bus_address}, expected the embedded bus")
+    if real:
+        raise UnusableInputError("in-process", f"found {', '.join(real)} not simulated, expected all nodes simulated")
