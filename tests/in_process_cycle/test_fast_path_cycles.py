@@ -3,6 +3,7 @@ endings, bit by bit, whatever comes between."""
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -47,6 +48,8 @@ from hilbench.twin.machines.web_line_cycle import LineCycle
 
 #: The time of the first SYNC: traces have the same times.
 EPOCH_NS = 1_700_000_000_123_456_789
+#: SDO (580h to 67Fh), and boot-ups.
+BY_THE_WALL_CLOCK = re.compile(r" (5[89A-F]|6[0-7]).#| 7..#00$")
 
 
 @dataclass
@@ -108,7 +111,8 @@ def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles
     lines = trace.read_text().splitlines()
     first = next(at for at, line in enumerate(lines) if " 080#" in line)
     last = max(at for at, line in enumerate(lines) if " 080#" in line)
-    left.trace = lines[first:last]  # before and after SYNC heartbeats go by the wall clock
+    # Before and after SYNC heartbeats go by the wall clock; so do polls of a node that boots or stops, by SDO.
+    left.trace = [line for line in lines[first:last] if not BY_THE_WALL_CLOCK.search(line)]
     return left
 
 
