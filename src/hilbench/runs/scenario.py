@@ -11,9 +11,11 @@ from __future__ import annotations
 import csv
 import io
 import math
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import takewhile
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +63,6 @@ class Scenario:
         """Run it from now on; the verdict on each expectation is added to `judged` when its time is over."""
         cycle_s = bench.config.cycle_time_s
         due = {path: list(points) for path, points in self.jumps.items()}
-        courses = {path: np.array(tuple(zip(*points, strict=True))) for path, points in self.ramps.items()}
         waiting = [_Watched(expectation) for expectation in self.expectations]
         cycles, k = round(self.duration_s / cycle_s) + 1, 0
         while k < cycles:
@@ -69,16 +70,16 @@ class Scenario:
             for path, points in due.items():
                 while points and points[0][0] <= t_s + cycle_s / 2:
                     bench.set(path, points.pop(0)[1])
-            if not waiting and len(courses) == 1:
-                ((path, course),) = courses.items()
-                values = self._smooth(course, due, range(k, cycles), cycle_s)
+            if not waiting and len(self.ramps) == 1:
+                (path,) = self.ramps
+                values = self._smooth(self.ramps[path], due, range(k, cycles), cycle_s)
                 if len(values):
                     bench.follow_values(path, values)
                     k += len(values)
                     continue
-            for path, (times_s, values) in courses.items():
-                if times_s[0] <= t_s <= times_s[-1] + cycle_s:
-                    bench.set(path, float(np.interp(t_s, times_s, values)))
+            for path, points in self.ramps.items():
+                if points[0][0] <= t_s <= points[-1][0] + cycle_s:
+                    bench.set(path, _between(points, t_s))
             sample = bench.cycle()
             for watched in waiting:
                 watched.see(sample, t_s)
@@ -89,13 +90,15 @@ class Scenario:
 
     @staticmethod
     def _smooth(
-        course: NDArray[np.float64], due: Mapping[str, list[tuple[float, float]]], cycles: range, cycle_s: float
+        points: list[tuple[float, float]], due: Mapping[str, list[tuple[float, float]]], cycles: range, cycle_s: float
     ) -> NDArray[np.float64]:
         """Values of a ramp in these cycles, as long as it moves and nothing jumps."""
         jump_s = min((waiting[0][0] for waiting in due.values() if waiting), default=math.inf)
-        (first_s, last_s), times = course[0, [0, -1]], (k * cycle_s for k in cycles)
-        moved = takewhile(lambda t_s: first_s <= t_s <= last_s + cycle_s and not jump_s <= t_s + cycle_s / 2, times)
-        return np.asarray(np.interp(list(moved), *course))
+        times = (k * cycle_s for k in cycles)
+        moved = takewhile(
+            lambda t_s: points[0][0] <= t_s <= points[-1][0] + cycle_s and not jump_s <= t_s + cycle_s / 2, times
+        )
+        return np.array([_between(points, t_s) for t_s in moved])
 
 
 @dataclass
@@ -126,6 +129,14 @@ class _Watched:
             passed=known and self._least >= 0,
             reason=None if known else f"{wanted.signal} has no value in its time",
         )
+
+
+def _between(points: list[tuple[float, float]], t_s: float) -> float:
+    behind = bisect_right(points, t_s, key=itemgetter(0))
+    before, after = points[max(behind - 1, 0)], points[min(behind, len(points) - 1)]
+    if after[0] <= before[0]:
+        return before[1]
+    return before[1] + (after[1] - before[1]) * (t_s - before[0]) / (after[0] - before[0])
 
 
 # -- reading ---------------------------------------------------------------------------------------------------------
