@@ -661,9 +661,8 @@ class FreeRules:
             tried.append((float(np.sum((residual - theta @ columns) ** 2)), float(theta[-1]), float(time_s)))
             return tried[-1][0]
 
-        middle_s = term.time_s + 0.5 * term.duration_s
-        bounds = max(middle_s - _FORCE_SEARCH[0], 0.0), middle_s + _FORCE_SEARCH[0]
-        minimize_scalar(square, bounds=bounds, method="bounded", options={"xatol": _FORCE_SEARCH[1]})
+        bounds = np.maximum(term.time_s + 0.5 * term.duration_s + _FORCE_SEARCH[0] * np.array([-1.0, 1.0]), 0.0)
+        minimize_scalar(square, bounds=bounds.tolist(), method="bounded", options={"xatol": _FORCE_SEARCH[1]})
         least, force_N, time_s = min(tried)
         return least - sum(sums(space, white, current.residual)), force_N, time_s
 

@@ -42,9 +42,9 @@ class Predictor(ABC):
         return None
 
     @property
-    def surrogate(self) -> Predictor:
-        """Cheaper prediction with nearly the same response to a change of parameters; itself where there is none."""
-        return self
+    def surrogate(self) -> Predictor | None:
+        """Cheaper prediction with nearly the same response to a change of parameters; None where there is none."""
+        return None
 
     def floor(self, signal: int) -> float:
         """Standard deviation of the noise of a signal, from the recording alone."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -165,7 +166,6 @@ class Space:
     simulations: int = 0
     _base: Array = field(init=False)  #: the model's parameter vector
     _quick: Array = field(init=False)  #: of the measured (signals, n), what terms make of the quick part of the motion
-    _surrogate: Space | None = field(init=False, default=None)
     _known: dict[bytes, Array] = field(init=False, default_factory=dict)  #: latest predictions, by parameter vector
 
     def __post_init__(self) -> None:
@@ -273,15 +273,17 @@ class Space:
         derivatives[free] = (here_residual - moved_residuals) / np.array(steps)[:, None, None]
         return Point(terms, here_residual, derivatives)
 
+    @cached_property
+    def _surrogate(self) -> Space | None:
+        predictor = self.predictor.surrogate
+        return None if predictor is None else Space(self.model, predictor, self.period_s)
+
     def strengths(self, terms: list[Term], residual: Array, candidates: list[Term]) -> list[Array]:
         """Derivatives by the strength of each candidate (1 or 2 coordinates), added to a model with `terms`.
 
         `residual` is the one of that model. By the prediction's surrogate: they choose what is then fitted.
         """
-        if self.predictor.surrogate is not self.predictor:
-            if self._surrogate is None:
-                self._surrogate = Space(self.model, self.predictor.surrogate, self.period_s)
-            near = self._surrogate
+        if (near := self._surrogate) is not None:
             responses = near.strengths(terms, near.residual(terms), candidates)
             self.simulations, near.simulations = self.simulations + near.simulations, 0
             return responses

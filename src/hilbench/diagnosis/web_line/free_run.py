@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
-from functools import cached_property
 from itertools import pairwise
 from typing import Final
 
@@ -116,11 +115,11 @@ class FreeRun(Predictor):
             self._choose_hold(data)
         self._data = data
 
-    @cached_property
-    def surrogate(self) -> FreeRun:
+    @property
+    def surrogate(self) -> FreeRun | None:
         """Free run of the machine itself, without the emulation, which is made to respond as the machine does."""
         if self.emulation is None or self._model.stations is not None:
-            return self
+            return None
         other = copy(self)
         other.emulation, other._slow = None, {}
         return other
